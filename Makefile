@@ -1,0 +1,71 @@
+# Everything a fresh clone needs: `make setup`, `make test`, `make demo`.
+# Needs Python 3.11 or newer with venv. Nothing is installed outside .venv.
+
+PYTHON ?= python3
+BIN := .venv/bin
+
+# Written last and named after the contents of what was installed: an interrupted
+# setup starts over, a finished one is not repeated until one of the two files changes.
+STAMP := .venv/.setup-$(shell cat requirements.lock pyproject.toml | cksum | cut -d ' ' -f 1)
+
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+# Exits with the message, or with 0. Runs on any Python, old ones too.
+CHECK := -c 'import sys; v = sys.version_info[:2]; sys.exit(v < (3, 11) and \
+	"manip needs Python 3.11 or newer, and %s is %d.%d. Remove .venv if \
+	there is one, and name another Python: make setup PYTHON=python3.12" % ((sys.executable,) + v))'
+
+.DEFAULT_GOAL := help
+.PHONY: help setup test test-slow lint format demo lock clean
+
+help: ## List the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-10s  %s\n", $$1, $$2 }' Makefile
+
+setup: $(STAMP) ## Install manip and the tested versions of its dependencies into .venv
+
+# torch goes first and alone, with its dependencies: which libraries it needs depends on
+# the machine. See requirements.lock for why the rest is installed without.
+$(STAMP): $(BIN)/python
+	@$(BIN)/python $(CHECK)
+	@rm -f .venv/.setup-*
+	@$(PIP) --version > /dev/null 2>&1 || $(BIN)/python -m ensurepip
+	@echo 'Installing into .venv: a few minutes the first time, longer with CUDA.'
+	$(PIP) install --quiet --constraint requirements.lock torch
+	$(PIP) install --quiet --no-deps --requirement requirements.lock
+	$(PIP) install --quiet --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(BIN)/python:
+	@$(PYTHON) $(CHECK)
+	$(PYTHON) -m venv --clear .venv
+
+test: setup ## Run the fast tests
+	$(BIN)/python -m pytest
+
+test-slow: setup ## Run the slow tests
+	$(BIN)/python -m pytest -m slow
+
+lint: setup ## Check style, format and types
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+format: setup ## Format the code and fix what ruff can fix
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+demo: setup ## Run the demonstration; its results go to runs/demo
+	$(BIN)/python scripts/demo.py --out runs/demo
+
+# Keeps the comments. labmaze has no wheel for Python 3.13 and newer, and manip gets
+# along without it: only dm_control.locomotion imports it.
+lock: ## Write the versions found in .venv to requirements.lock
+	@$(PIP) freeze --all --exclude pip --exclude manip > .venv/frozen
+	@{ grep '^#' requirements.lock; \
+	   grep -Ev '^(-e|#|(nvidia|cuda)-|triton==)' .venv/frozen \
+	   | sed -e 's/+.*//' -e '/^labmaze==/s/$$/; python_version < "3.13"/' \
+	   | LC_ALL=C sort -f -t = -k 1,1; } > .venv/requirements.lock
+	@mv .venv/requirements.lock requirements.lock
+
+clean: ## Remove caches and build output; keeps .venv and runs
+	rm -rf build dist *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find . -name .venv -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,1 @@
+"""Scenes, recipes and trained policies that ship with manip."""

@@ -1,0 +1,1 @@
+"""Algorithms on TorchRL losses: one file each, and the policies they make."""

@@ -1,0 +1,56 @@
+"""What the training loop asks of an algorithm."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import nn
+
+from manip.agents.networks import Actor
+
+
+@dataclass(frozen=True)
+class Spaces:
+    """Sizes that an agent is built for."""
+
+    observation_dim: int
+    action_dim: int
+
+
+class Agent(ABC):
+    """An algorithm: a rollout policy, and an update from what it collected.
+
+    Attributes:
+        actor: the network that is deployed.
+        rollout_length: control steps T of every world between two updates.
+    """
+
+    actor: Actor
+    rollout_length: int
+
+    @abstractmethod
+    def policy(self) -> TensorDictModuleBase:
+        """Explores: writes `action` [N, A] (and what the update needs) to its input."""
+
+    @abstractmethod
+    def update(self, batch: TensorDictBase) -> dict[str, float]:
+        """Learn from a rollout [N, T]; scalars to log, empty before learning starts."""
+
+    @abstractmethod
+    def modules(self) -> dict[str, nn.Module]:
+        """Everything with parameters or buffers, by name, for checkpoints."""
+
+    @abstractmethod
+    def optimisers(self) -> dict[str, torch.optim.Optimizer]:
+        """Everything with optimiser state, by name, for checkpoints."""
+
+    def extra_state(self) -> dict[str, Any]:
+        """Tensors and numbers besides modules and optimisers (such as a buffer)."""
+        return {}
+
+    def load_extra_state(self, state: dict[str, Any]) -> None:
+        """Put back what `extra_state` gave."""
+

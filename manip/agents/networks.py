@@ -1,0 +1,113 @@
+"""Networks of actors and critics, shared by the algorithms."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+MIN_LOG_STD, MAX_LOG_STD = -5.0, 2.0
+"""Range of a state-dependent log standard deviation (SAC, common practice)."""
+
+
+def mlp(
+    inputs: int,
+    outputs: int,
+    hidden: Sequence[int],
+    activation: type[nn.Module] = nn.ReLU,
+    layer_norm: bool = False,
+) -> nn.Sequential:
+    """Fully connected network; `layer_norm` normalises before each activation."""
+    layers: list[nn.Module] = []
+    for width in hidden:
+        layers.append(nn.Linear(inputs, width))
+        if layer_norm:
+            layers.append(nn.LayerNorm(width))
+        layers.append(activation())
+        inputs = width
+    return nn.Sequential(*layers, nn.Linear(inputs, outputs))
+
+
+def orthogonal(network: nn.Module, gain: float, last_gain: float) -> None:
+    """Orthogonal weights and zero biases: `gain` inside, `last_gain` at the end."""
+    linears = [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
+    for layer in linears:
+        last = layer is linears[-1]
+        nn.init.orthogonal_(layer.weight, last_gain if last else gain)
+        nn.init.zeros_(layer.bias)
+
+
+class RunningNorm(nn.Module):
+    """(x - mean) / std of all observations seen by `update`, clipped to +-10.
+
+    Mean and variance are exact over everything seen (Chan et al. 1979, parallel
+    variance) and are saved with the network that holds them.
+    """
+
+    mean: Tensor
+    var: Tensor
+    count: Tensor
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(width))
+        self.register_buffer("var", torch.ones(width))
+        self.register_buffer("count", torch.tensor(0.0))
+
+    @torch.no_grad()
+    def update(self, x: Tensor) -> None:
+        """Take in observations x [..., D]."""
+        x = x.reshape(-1, x.shape[-1])
+        total = self.count + len(x)
+        delta = x.mean(0) - self.mean
+        share = len(x) / total
+        spread = x.var(0, correction=0) * share + self.var * (1 - share)
+        self.var.copy_(spread + delta.square() * share * (1 - share))
+        self.mean.add_(delta * share)
+        self.count.copy_(total)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """x [..., D] normalised."""
+        return ((x - self.mean) / (self.var + 1e-4).sqrt()).clamp(-10.0, 10.0)
+
+
+class Actor(nn.Module):
+    """Gaussian actor: observation [..., D] -> (loc, scale), each [..., A].
+
+    Args:
+        squash: SAC's form: tanh of a Gaussian whose standard deviation depends on
+            the state. Otherwise PPO's: one standard deviation an action, and the
+            action is clipped by the environment.
+        normalise: keep a RunningNorm of the observations in front.
+    """
+
+    def __init__(
+        self,
+        observation_dim: int,
+        action_dim: int,
+        hidden: Sequence[int],
+        squash: bool,
+        normalise: bool,
+    ) -> None:
+        super().__init__()
+        self.squash = squash
+        self.norm = RunningNorm(observation_dim) if normalise else nn.Identity()
+        activation = nn.ReLU if squash else nn.Tanh
+        outputs = action_dim * (2 if squash else 1)
+        self.body = mlp(observation_dim, outputs, hidden, activation)
+        if not squash:
+            orthogonal(self.body, 2**0.5, 0.01)
+            self.log_std = nn.Parameter(torch.full((action_dim,), -0.5))
+
+    def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and standard deviation of the Gaussian, before any tanh."""
+        out = self.body(self.norm(observation))
+        if not self.squash:
+            return out, self.log_std.exp().expand_as(out)
+        loc, raw = out.chunk(2, -1)
+        span = MAX_LOG_STD - MIN_LOG_STD
+        return loc, (MIN_LOG_STD + span * (raw.tanh() + 1) / 2).exp()
+
+    def decide(self, observation: Tensor) -> Tensor:
+        """The deterministic action [..., A] in [-1, 1]."""
+        loc, _ = self(observation)
+        return loc.tanh() if self.squash else loc.clamp(-1.0, 1.0)

@@ -1,0 +1,88 @@
+"""A task on the batch engine: robosuite's MDP at native speed, N worlds at once."""
+
+from typing import Any
+
+import numpy as np
+
+from manip.envs.base import TaskEnv
+from manip.envs.streams import EpisodeStreams
+from manip.envs.task import Measures, Task
+from manip.sim.engine import BatchEngine, Snapshot
+from manip.sim.model import Fidelity, Scene, load_scene
+
+
+class NativeEnv(TaskEnv):
+    """TorchRL environment of a task on the batch engine.
+
+    Args:
+        task: what is to be done.
+        num_worlds: N.
+        robot, controller, control_freq: as in `manip.sim.stock.make_stock`.
+        fidelity: "exact" (stock physics) or "fast" (for training and sweeps).
+        threads: native threads; the CPUs this process may use unless given.
+        stagger: begin the first episodes at random times, so that the worlds do not
+            all end at once.
+        scene: a compiled scene to share, instead of building one.
+        horizon, reward, seed: as in `TaskEnv`.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        num_worlds: int,
+        *,
+        robot: str = "Panda",
+        controller: str = "OSC_POSE",
+        control_freq: int = 20,
+        fidelity: Fidelity = "exact",
+        threads: int | None = None,
+        horizon: int | None = None,
+        reward: str = "shaped",
+        seed: int = 0,
+        stagger: bool = False,
+        scene: Scene | None = None,
+    ) -> None:
+        self.scene = scene or load_scene(
+            task.robosuite_name, task.sensors, robot, controller, control_freq, fidelity
+        )
+        self.engine = BatchEngine(self.scene, num_worlds, threads)
+        self._stagger = stagger
+        action_dim = self.scene.action_dim
+        super().__init__(task, num_worlds, action_dim, horizon, reward, seed)
+
+    def _read(self) -> Measures:
+        return self.engine.read()
+
+    def _start_episodes(self, worlds: np.ndarray) -> None:
+        episodes = self.episode[worlds]
+        streams = EpisodeStreams(self.seed, worlds, episodes)
+        start = self.task.sample_start(self.scene, streams)
+        self.engine.write(worlds, start.qpos, start.fields)
+        if self._stagger:
+            first = episodes == 0
+            begun = streams.uniform(0, self.horizon, 1)[:, 0].astype(np.int64)
+            self.elapsed[worlds[first]] = begun[first]
+
+    def _move(self, action: np.ndarray) -> np.ndarray:
+        self.engine.step(action)
+        return self.engine.broken
+
+    def save_state(self) -> dict[str, Any]:
+        """Everything the coming steps depend on: worlds, clocks, episode counts."""
+        snapshot = self.engine.save()
+        return {
+            "states": snapshot.states,
+            "readings": snapshot.readings,
+            "elapsed": self.elapsed.copy(),
+            "episode": self.episode.copy(),
+        }
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Put back what `save_state` gave; `look` then shows it.
+
+        Raises:
+            ValueError: the state is of other worlds.
+        """
+        self.engine.restore(Snapshot(state["states"], state["readings"]))
+        self.elapsed[:] = state["elapsed"]
+        self.episode[:] = state["episode"]

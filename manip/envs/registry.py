@@ -1,0 +1,43 @@
+"""Tasks by name: entry points of installed packages, or `package.module:Task`."""
+
+import importlib
+from importlib.metadata import entry_points
+
+from manip.envs.task import Task
+from manip.errors import UserError, unknown
+
+GROUP = "manip.tasks"
+"""Entry-point group under which a package offers its tasks."""
+
+
+def task_names() -> list[str]:
+    """Names of all tasks that installed packages offer."""
+    return sorted({point.name for point in entry_points(group=GROUP)})
+
+
+def load_task(name: str) -> Task:
+    """The task called `name`, or the class at `package.module:Class`.
+
+    Raises:
+        UserError: no such task; the message lists those that exist.
+    """
+    found = {point.name: point for point in entry_points(group=GROUP)}
+    if name in found:
+        return _checked(name, found[name].load())
+    if ":" in name:
+        return _checked(name, _import(name))
+    raise unknown("task", name, found)
+
+
+def _import(path: str) -> object:
+    module, _, attribute = path.partition(":")
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise UserError(f"cannot import task {path!r}: {error}") from error
+
+
+def _checked(name: str, cls: object) -> Task:
+    if not (isinstance(cls, type) and issubclass(cls, Task)):
+        raise UserError(f"task {name!r} must be a subclass of manip.envs.Task, not {cls!r}")
+    return cls()

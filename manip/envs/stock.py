@@ -1,0 +1,56 @@
+"""A task inside a stock robosuite environment: the same keys, one world."""
+
+from typing import Any
+
+import numpy as np
+
+from manip.envs.base import TaskEnv
+from manip.envs.task import Measures, Task
+from manip.sim.model import Sensors, stock_reader
+from manip.sim.stock import make_stock, reseed
+
+Array = np.ndarray
+
+
+class StockEnv(TaskEnv):
+    """TorchRL environment of a task that steps `robosuite.make(...)` itself.
+
+    Mends what robosuite's GymWrapper gets wrong: the time limit is `truncated`,
+    success is reported, and a seed fixes the episodes (episode e starts from
+    `seed + e`).
+
+    Args:
+        task: what is to be done.
+        robot, controller, control_freq, horizon, reward, seed: as in `NativeEnv`.
+        stock: a robosuite environment to use, instead of making one.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        *,
+        robot: str = "Panda",
+        controller: str = "OSC_POSE",
+        control_freq: int = 20,
+        horizon: int | None = None,
+        reward: str = "shaped",
+        seed: int = 0,
+        stock: Any = None,
+    ) -> None:
+        self.stock = stock or make_stock(
+            task.robosuite_name, robot, controller, control_freq, seed
+        )
+        self._reader = stock_reader(self.stock, task.sensors)
+        action_dim = self.stock.action_dim
+        super().__init__(task, 1, action_dim, horizon, reward, seed)
+
+    def _read(self) -> Measures:
+        return self._reader()
+
+    def _start_episodes(self, worlds: Array) -> None:
+        reseed(self.stock, self.seed + int(self.episode[0]))
+        self.stock.reset()
+
+    def _move(self, action: Array) -> Array:
+        self.stock.step(action[0].astype(np.float64))
+        return np.zeros(1, bool)

@@ -1,0 +1,21 @@
+"""Errors that say what was asked, what exists, and what to do."""
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class UserError(ValueError):
+    """A mistake in what was asked; programs print it as one line and exit with 2."""
+
+
+def unknown(kind: str, asked: object, known: Iterable[str]) -> UserError:
+    """Build the error for a name that does not exist, with the nearest one that does.
+
+    `unknown("task", "Lfit", ["Lift", "Reach"])` reads
+    "unknown task 'Lfit': did you mean 'Lift'? known tasks: Lift, Reach".
+    """
+    names = {name.casefold(): name for name in known}
+    close = get_close_matches(str(asked).casefold(), names, n=1)
+    hint = f"did you mean {names[close[0]]!r}? " if close else ""
+    listing = ", ".join(names.values())
+    return UserError(f"unknown {kind} {asked!r}: {hint}known {kind}s: {listing}")

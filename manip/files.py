@@ -1,0 +1,105 @@
+"""Files that are whole or absent, and that never run code when loaded.
+
+A tree (nested dicts and lists of tensors, arrays, numbers and strings) becomes one
+safetensors file: tensors in the body, everything else as JSON in the header.
+"""
+
+import json
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from manip.errors import UserError
+
+_TENSOR, _ARRAY, _INT_KEYS = "$tensor", "$array", "$int_keys"
+
+
+def replace_file(path: Path, write: Callable[[Path], object]) -> None:
+    """Have `write` fill a temporary file beside `path`, then put it in place."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        _flush(temporary)
+        temporary.chmod(0o644)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all."""
+    replace_file(path, lambda temporary: temporary.write_text(text))
+
+
+def save_tree(path: Path, tree: Any) -> None:
+    """Write a tree to one safetensors file, whole or not at all."""
+    tensors: dict[str, torch.Tensor] = {}
+    header = json.dumps(_flatten(tree, "", tensors))
+    replace_file(path, lambda to: save_file(tensors, to, {"tree": header}))
+
+
+def load_tree(path: Path) -> Any:
+    """Read what `save_tree` wrote.
+
+    Raises:
+        UserError: the file is missing, damaged or of another kind.
+    """
+    if not path.is_file():
+        raise UserError(f"there is no {path}")
+    try:
+        with safe_open(path, "pt") as file:
+            header = json.loads((file.metadata() or {})["tree"])
+            return _unflatten(header, file)
+    except (SafetensorError, KeyError, json.JSONDecodeError) as error:
+        raise UserError(f"{path} is damaged or not a manip file: {error}") from error
+
+
+def _flush(path: Path) -> None:
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
+
+
+def _flatten(node: Any, path: str, tensors: dict[str, torch.Tensor]) -> Any:
+    if isinstance(node, torch.Tensor):
+        tensors[path] = node.detach().contiguous().clone()
+        return {_TENSOR: path}
+    if isinstance(node, np.ndarray):
+        tensors[path] = torch.from_numpy(np.ascontiguousarray(node).copy())
+        return {_ARRAY: path}
+    if isinstance(node, dict):
+        children = {
+            str(key): _flatten(child, f"{path}/{key}", tensors)
+            for key, child in node.items()
+        }
+        return {_INT_KEYS: children} if _has_int_keys(node) else children
+    if isinstance(node, list | tuple):
+        return [_flatten(child, f"{path}/{i}", tensors) for i, child in enumerate(node)]
+    return node
+
+
+def _has_int_keys(node: dict[Any, Any]) -> bool:
+    return bool(node) and all(isinstance(key, int) for key in node)
+
+
+def _unflatten(node: Any, file: Any) -> Any:
+    if isinstance(node, list):
+        return [_unflatten(child, file) for child in node]
+    if not isinstance(node, dict):
+        return node
+    if _TENSOR in node:
+        return file.get_tensor(node[_TENSOR])
+    if _ARRAY in node:
+        return file.get_tensor(node[_ARRAY]).numpy()
+    if _INT_KEYS in node:
+        return {int(k): _unflatten(v, file) for k, v in node[_INT_KEYS].items()}
+    return {key: _unflatten(child, file) for key, child in node.items()}

@@ -1,0 +1,101 @@
+"""Stock robosuite environments, built quietly and with settings fit for training.
+
+The only module that imports robosuite. Its environments are the model factory of
+the batch engine and the oracle that the engine must agree with.
+"""
+
+import logging
+import os
+from typing import Any
+
+import numpy as np
+
+from manip.errors import UserError, unknown
+
+logging.getLogger("robosuite_logs").addFilter(lambda r: r.levelno >= logging.ERROR)
+_gl_backend = os.environ.get("MUJOCO_GL")
+import robosuite  # noqa: E402  (the log filter must come first)
+from robosuite.controllers import load_part_controller_config  # noqa: E402
+from robosuite.controllers.composite.composite_controller_factory import (  # noqa: E402
+    refactor_composite_controller_config,
+)
+
+if _gl_backend is None:
+    # robosuite sets MUJOCO_GL on import; choosing the backend is manip.sim.gl's job.
+    os.environ.pop("MUJOCO_GL", None)
+
+ROBOTS = ("Panda", "Sawyer", "IIWA", "Kinova3", "Jaco", "XArm7")
+"""Single, fixed-base arms with seven joints that robosuite 1.5.2 ships."""
+
+CONTROLLERS = ("OSC_POSE", "JOINT_POSITION")
+"""Action spaces whose control law the batch engine reproduces."""
+
+PHYSICS_DT = 0.002
+"""robosuite's simulation timestep [s] (robosuite/macros.py)."""
+
+CONTROL_FREQUENCIES = (10, 20, 25, 50, 100)
+"""Frequencies [Hz] at which stock observations fire once per step, in phase.
+
+At others (30, 40 Hz) robosuite's floating-point clocks drift and some steps return
+no new observation.
+"""
+
+
+def make_stock(
+    name: str,
+    robot: str = "Panda",
+    controller: str = "OSC_POSE",
+    control_freq: int = 20,
+    seed: int | None = None,
+    **options: Any,
+) -> Any:
+    """Build `robosuite.make(name, robots=robot)` for headless, state-based use.
+
+    Observations come from states only and a reset keeps the compiled model; any
+    further `options` go to robosuite as they are.
+
+    Raises:
+        UserError: unknown robot, controller, environment or control frequency.
+    """
+    check_choice("robot", robot, ROBOTS)
+    check_choice("controller", controller, CONTROLLERS)
+    check_choice("robosuite environment", name, robosuite.ALL_ENVIRONMENTS)
+    if control_freq not in CONTROL_FREQUENCIES:
+        raise UserError(
+            f"control frequency {control_freq} Hz is not possible: robosuite keeps its "
+            f"clocks in phase only at {', '.join(map(str, CONTROL_FREQUENCIES))} Hz"
+        )
+    settings = {
+        "has_renderer": False,
+        "has_offscreen_renderer": False,
+        "use_camera_obs": False,
+        "hard_reset": False,
+        "reward_shaping": True,
+        "controller_configs": _controller_config(controller, robot),
+        "control_freq": control_freq,
+        "seed": seed,
+        "ignore_done": True,
+    }
+    return robosuite.make(name, robots=robot, **(settings | options))
+
+
+def check_choice(kind: str, asked: str, known: tuple[str, ...] | Any) -> None:
+    """Raise `UserError` unless `asked` is one of the `known` names."""
+    if asked not in known:
+        raise unknown(kind, asked, sorted(known))
+
+
+def reseed(env: Any, seed: int) -> None:
+    """Restart the random stream of a stock environment, in place.
+
+    robosuite has no seed per reset: samplers hold references to `env.rng`, so its
+    bit generator's state is replaced (`GymWrapper.reset(seed)` has no effect).
+    """
+    env.rng.bit_generator.state = np.random.default_rng(seed).bit_generator.state
+
+
+def _controller_config(controller: str, robot: str) -> Any:
+    if controller == "OSC_POSE":
+        return None
+    part = load_part_controller_config(default_controller=controller)
+    return refactor_composite_controller_config(part, robot, ["right"])

@@ -1,0 +1,78 @@
+"""From options to the parts of a run."""
+
+import torch
+
+from manip.agents.agent import Agent, Spaces
+from manip.agents.policy import Policy, PolicyCard
+from manip.agents.ppo import PPO, PPOConfig
+from manip.agents.sac import SAC
+from manip.envs.native import NativeEnv
+from manip.envs.registry import load_task
+from manip.training.config import TrainConfig
+from manip.versions import versions
+
+EVAL_SEED = 1_000_000
+"""Added to a run's seed for its evaluations: episodes it never trains on."""
+
+
+def training_env(config: TrainConfig) -> NativeEnv:
+    """The worlds that a run learns from."""
+    return NativeEnv(
+        load_task(config.task),
+        config.num_worlds,
+        robot=config.robot,
+        controller=config.controller,
+        control_freq=config.control_freq,
+        fidelity=config.fidelity,
+        threads=config.threads,
+        horizon=config.horizon,
+        reward=config.reward,
+        seed=config.seed,
+        stagger=True,
+    )
+
+
+def evaluation_env(config: TrainConfig) -> NativeEnv:
+    """The worlds that a run is judged in: exact physics, the task's own horizon."""
+    return NativeEnv(
+        load_task(config.task),
+        config.eval_episodes,
+        robot=config.robot,
+        controller=config.controller,
+        control_freq=config.control_freq,
+        threads=config.threads,
+        seed=config.seed + EVAL_SEED,
+    )
+
+
+def build_agent(config: TrainConfig, env: NativeEnv) -> Agent:
+    """The algorithm, with networks that fit the environment."""
+    torch.manual_seed(config.seed)
+    spaces = Spaces(
+        env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]
+    )
+    if isinstance(config.agent, PPOConfig):
+        return PPO(config.agent, spaces)
+    return SAC(config.agent, spaces)
+
+
+def policy_of(agent: Agent, config: TrainConfig, env: NativeEnv, steps: int) -> Policy:
+    """The agent's policy as it is now, with all that an evaluator needs."""
+    card = PolicyCard(
+        task=config.task,
+        robot=config.robot,
+        algo=config.algo,
+        controller=config.controller,
+        control_freq=config.control_freq,
+        action_dim=env.action_spec.shape[-1],
+        layout={name: [part.start, part.stop] for name, part in env.layout.items()},
+        hidden=list(config.agent.actor_hidden),
+        squash=agent.actor.squash,
+        normalise=config.agent.normalise,
+        env_steps=steps,
+        seed=config.seed,
+        versions=versions(),
+    )
+    return Policy(card, agent.actor)
+
+

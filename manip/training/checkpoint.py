@@ -1,0 +1,56 @@
+"""A run's whole state in one file, so that it goes on where it stopped."""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from manip.agents.agent import Agent
+from manip.envs.native import NativeEnv
+from manip.errors import UserError
+from manip.files import load_tree, save_tree
+
+FORMAT = 1
+"""Version of the checkpoint file; raised when it changes incompatibly."""
+
+
+def save_checkpoint(
+    path: Path, agent: Agent, env: NativeEnv, progress: dict[str, Any]
+) -> None:
+    """Write agent, worlds, random state and progress, whole or not at all."""
+    save_tree(
+        path,
+        {
+            "format": FORMAT,
+            "progress": progress,
+            "modules": {name: m.state_dict() for name, m in agent.modules().items()},
+            "optimisers": {n: o.state_dict() for n, o in agent.optimisers().items()},
+            "agent": agent.extra_state(),
+            "env": env.save_state(),
+            "torch_rng": torch.get_rng_state(),
+        },
+    )
+
+
+def load_checkpoint(path: Path, agent: Agent, env: NativeEnv) -> dict[str, Any]:
+    """Put a saved state back into agent and worlds; returns the progress.
+
+    Raises:
+        UserError: no checkpoint, a damaged one, or one of other networks or worlds.
+    """
+    tree = load_tree(path)
+    if tree.get("format") != FORMAT:
+        raise UserError(f"{path} has format {tree.get('format')}, not {FORMAT}")
+    try:
+        for name, module in agent.modules().items():
+            module.load_state_dict(tree["modules"][name])
+        for name, optimiser in agent.optimisers().items():
+            optimiser.load_state_dict(tree["optimisers"][name])
+        agent.load_extra_state(tree["agent"])
+        env.load_state(tree["env"])
+    except (KeyError, RuntimeError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise UserError(f"{path} belongs to another configuration: {reason}") from error
+    torch.set_rng_state(tree["torch_rng"])
+    progress: dict[str, Any] = tree["progress"]
+    return progress

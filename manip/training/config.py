@@ -1,0 +1,127 @@
+"""Options of a training run, and the recipes that set them per task."""
+
+import dataclasses
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal, get_type_hints
+
+import yaml
+
+from manip.agents.ppo import PPOConfig
+from manip.agents.sac import SACConfig
+from manip.errors import UserError, unknown
+from manip.sim.model import Fidelity
+
+AgentConfig = SACConfig | PPOConfig
+ALGORITHMS: dict[str, type[AgentConfig]] = {"sac": SACConfig, "ppo": PPOConfig}
+"""Algorithm name -> its options."""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Train a policy on the batch engine, from a tuned recipe."""
+
+    task: str = "Lift"
+    """Task to learn (see `manip list`), or package.module:Task."""
+    algo: str = "sac"
+    """Algorithm: sac or ppo."""
+    robot: str = "Panda"
+    """Arm (see `manip list`)."""
+    controller: Literal["OSC_POSE", "JOINT_POSITION"] = "OSC_POSE"
+    """Action space, as robosuite defines it."""
+    seed: int = 0
+    """Seed of the worlds, the network and the exploration."""
+    out: Path | None = None
+    """Run folder; runs/<task>-<algo>-<seed> unless given."""
+    resume: bool = False
+    """Continue the run in the run folder from its latest checkpoint."""
+    steps: int = 100_000
+    """Control steps to train for, all worlds together."""
+    num_worlds: int = 32
+    """Worlds that are simulated side by side."""
+    horizon: int = 80
+    """Length of a training episode [control steps]."""
+    control_freq: int = 20
+    """Control frequency [Hz]."""
+    fidelity: Fidelity = "fast"
+    """Physics while training; evaluation is always exact."""
+    reward: Literal["shaped", "stock"] = "shaped"
+    """Reward set: ours, or robosuite's own shaped reward."""
+    threads: int | None = None
+    """Threads of the physics; the CPUs this process may use unless given."""
+    torch_threads: int = 1
+    """Threads of the learner's matrix products."""
+    eval_every: int = 10_000
+    """Control steps between evaluations."""
+    eval_episodes: int = 32
+    """Episodes an evaluation."""
+    checkpoint_every: float = 60.0
+    """Seconds between checkpoints (one is written at every evaluation, too)."""
+    wandb: str | None = None
+    """Log to this Weights & Biases project as well (needs the `wandb` extra)."""
+    agent: AgentConfig = field(default_factory=SACConfig)
+    """Options of the algorithm."""
+
+    @property
+    def folder(self) -> Path:
+        """The run folder."""
+        name = self.task.replace(":", ".")
+        return self.out or Path("runs") / f"{name}-{self.algo}-{self.seed}"
+
+
+def recipe_names() -> list[str]:
+    """Names `<task>-<algo>` of the tuned recipes that are shipped."""
+    return sorted(
+        path.name.removesuffix(".yaml")
+        for path in (files("assets") / "recipes").iterdir()
+        if path.name.endswith(".yaml")
+    )
+
+
+def recipe(task: str, algo: str) -> TrainConfig:
+    """The tuned options for a task and an algorithm, or the defaults where none are.
+
+    Raises:
+        UserError: unknown algorithm.
+    """
+    if algo not in ALGORITHMS:
+        raise unknown("algorithm", algo, ALGORITHMS)
+    path = files("assets") / "recipes" / f"{task.lower()}-{algo}.yaml"
+    found = yaml.safe_load(path.read_text()) if path.is_file() else {}
+    return from_dict({"task": task, "algo": algo} | found)
+
+
+def to_dict(config: TrainConfig) -> dict[str, Any]:
+    """Plain values, fit for YAML."""
+    plain = dataclasses.asdict(config) | {"out": str(config.folder)}
+    plain["agent"] = {
+        key: list(value) if isinstance(value, tuple) else value
+        for key, value in plain["agent"].items()
+    }
+    return plain
+
+
+def from_dict(values: dict[str, Any]) -> TrainConfig:
+    """The configuration of plain values.
+
+    Raises:
+        UserError: unknown algorithm or option.
+    """
+    algo = values.get("algo", "sac")
+    if algo not in ALGORITHMS:
+        raise unknown("algorithm", algo, ALGORITHMS)
+    agent = _build(ALGORITHMS[algo], values.get("agent") or {})
+    out = values.get("out")
+    rest = values | {"agent": agent, "out": Path(out) if out else None}
+    return _build(TrainConfig, rest)
+
+
+def _build(cls: type[Any], values: dict[str, Any]) -> Any:
+    known = get_type_hints(cls)
+    for name in values:
+        if name not in known:
+            raise unknown(f"option of {cls.__name__}", name, known)
+    if not isinstance(values, dict):
+        raise UserError(f"options of {cls.__name__} must be a mapping, not {values!r}")
+    return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})

@@ -1,0 +1,1 @@
+"""Task definitions: one file a task, stated in numbers."""

@@ -1,0 +1,41 @@
+"""What all tasks share: the arm's part of the observation, and the arm's reset."""
+
+import numpy as np
+
+from manip.envs.streams import EpisodeStreams
+from manip.envs.task import Measures
+from manip.sim.model import Scene
+
+Array = np.ndarray
+
+JOINT_NOISE = 0.02
+"""Standard deviation [rad] of the arm's start pose (robosuite/robots/robot.py)."""
+
+
+def start_qpos(scene: Scene, streams: EpisodeStreams) -> Array:
+    """[n, nq]: the default pose with robosuite's noise on the arm's joints."""
+    qpos = np.tile(scene.qpos, (len(streams), 1))
+    joints = scene.arm.qpos
+    qpos[:, joints] += streams.normal(JOINT_NOISE, len(joints))
+    return qpos
+
+
+def observe_arm(m: Measures, centre: Array) -> dict[str, Array]:
+    """The arm's part of an observation.
+
+    joint_pos [rad] from the default pose; joint_vel [rad/s] * 0.3; gripper_qpos
+    [m or rad] * 10; gripper_command in [-1, 1]; eef_pos [m] from `centre` * 4.
+    """
+    return {
+        "joint_pos": m["joint_pos"] - m["rest_pos"],
+        "joint_vel": 0.3 * m["joint_vel"],
+        "gripper_qpos": 10.0 * m["gripper_qpos"],
+        "gripper_command": m["gripper_command"],
+        "eef_pos": 4.0 * (m["eef_pos"] - centre),
+    }
+
+
+def yaw_quaternion(yaw: Array) -> Array:
+    """[n, 4] wxyz: rotation by `yaw` [n] rad about the vertical."""
+    zero = np.zeros_like(yaw)
+    return np.stack([np.cos(yaw / 2), zero, zero, np.sin(yaw / 2)], axis=1)

@@ -1,0 +1,111 @@
+"""Lift: raise a cube off the table. robosuite's `Lift`.
+
+Success: the cube's centre is more than 4 cm above the table top (robosuite's test).
+Failure: none; an episode ends by time.
+Start: cube centre uniform within +-3 cm of the table's centre, any yaw, 1 cm above the
+    table; arm in its default pose with 0.02 rad noise a joint, gripper half open.
+Shaped reward, in [0, 1] a step: 0.2 reach + 0.25 grasp + 0.55 lift, where reach is
+    1 - tanh(5 d) of the tool-cube distance d [m], grasp is both finger pads touching
+    the cube, and lift, paid while grasped, rises linearly over the first 5 cm.
+"""
+
+import numpy as np
+
+from manip.envs.streams import EpisodeStreams
+from manip.envs.task import Measures, Start, Task
+from manip.rewards.kernels import near, ramp
+from manip.sim.model import Scene, Sensors
+from tasks.arm import observe_arm, start_qpos, yaw_quaternion
+
+Array = np.ndarray
+
+TABLE = np.array([0.0, 0.0, 0.8])
+"""Centre of the table top [m] (robosuite/environments/manipulation/lift.py)."""
+SPREAD = 0.03
+"""Half width [m] of the square in which the cube starts (ibid.)."""
+DROP = 0.01
+"""Height [m] above the table from which the cube is dropped (ibid.)."""
+LIFTED = 0.04
+"""Success height [m] of the cube's centre above the table (ibid.)."""
+REST = 0.021
+"""Mean half size [m] of the cube, which robosuite samples from 2.0 to 2.2 cm (ibid.)."""
+
+
+class Lift(Task):
+    """Raise the cube; see the module's docstring for the numbers."""
+
+    robosuite_name = "Lift"
+    sensors = Sensors(
+        bodies={"cube": "cube_main"},
+        touches={
+            "left_touch": ("left_fingerpad", "cube_main"),
+            "right_touch": ("right_fingerpad", "cube_main"),
+        },
+    )
+    horizon = 100
+    stages = ("near", "grasp", "lift")
+    weights = {
+        "shaped": {"reach": 0.2, "grasp": 0.25, "lift": 0.55},
+        "stock": {"reach": 1 / 2.25, "grasp": 0.25 / 2.25, "lift": 1.0},
+    }
+
+    def sample_start(self, scene: Scene, streams: EpisodeStreams) -> Start:
+        """Place the cube; see the module's docstring."""
+        qpos = start_qpos(scene, streams)
+        cube = scene.free_qpos("cube_main")
+        half = scene.physics.geom("cube_g0").size[2]
+        spot = TABLE + [0, 0, DROP + half]
+        flat = streams.uniform(-SPREAD, SPREAD, 2)
+        position = spot + np.pad(flat, ((0, 0), (0, 1)))
+        turn = yaw_quaternion(streams.uniform(0, 2 * np.pi, 1)[:, 0])
+        qpos[:, cube] = np.concatenate([position, turn], axis=1)
+        return Start(qpos)
+
+    def measure(self, read: Measures) -> Measures:
+        """Add to_cube [N, 3] m, distance [N] m, height [N] m of the cube, grasped."""
+        to_cube = read["cube_pos"] - read["eef_pos"]
+        return {
+            **read,
+            "to_cube": to_cube,
+            "distance": np.linalg.norm(to_cube, axis=1),
+            "height": read["cube_pos"][:, 2] - TABLE[2],
+            "grasped": (read["left_touch"] > 0) & (read["right_touch"] > 0),
+        }
+
+    def observe(self, m: Measures) -> dict[str, Array]:
+        """The arm, then the cube: place, turn, offset from the tool, velocity."""
+        return {
+            **observe_arm(m, TABLE + [0, 0, 0.15]),
+            "cube_pos": 4.0 * (m["cube_pos"] - TABLE),
+            "cube_quat": m["cube_quat"],
+            "to_cube": np.clip(10.0 * m["to_cube"], -5.0, 5.0),
+            "cube_linvel": m["cube_linvel"],
+            "touch": np.stack([m["left_touch"], m["right_touch"]], axis=1),
+        }
+
+    def reward_terms(self, m: Measures, reward: str) -> dict[str, Array]:
+        """Terms of the shaped or the stock reward."""
+        if reward == "stock":
+            pending = ~self.success(m)
+            return {
+                "reach": pending * near(m["distance"], 0.1),
+                "grasp": pending * m["grasped"],
+                "lift": self.success(m).astype(float),
+            }
+        return {
+            "reach": near(m["distance"], 0.2),
+            "grasp": m["grasped"].astype(float),
+            "lift": m["grasped"] * ramp(m["height"] - REST, 0.0, 0.05),
+        }
+
+    def success(self, m: Measures) -> Array:
+        """The cube's centre is more than 4 cm above the table."""
+        return m["height"] > LIFTED
+
+    def reached(self, m: Measures) -> dict[str, Array]:
+        """near: tool within 3 cm of the cube; grasp: both pads touch; lift."""
+        return {
+            "near": m["distance"] < 0.03,
+            "grasp": m["grasped"],
+            "lift": self.success(m),
+        }

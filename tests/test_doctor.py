@@ -1,0 +1,101 @@
+"""The doctor's checks, its report and its exit code."""
+
+import json
+
+import pytest
+
+from manip.programs import doctor
+from manip.programs.doctor import Check, Doctor, run
+
+GOOD = Check("good", ok=True, required=True, detail="[here]", remedy="none")
+SLOWER = Check("slower", ok=False, required=False, detail="one core", remedy="wait")
+BROKEN = Check("broken", ok=False, required=True, detail="lost", remedy="install it")
+
+
+@pytest.fixture
+def use_checks(monkeypatch: pytest.MonkeyPatch):
+    def use(*checks: Check) -> None:
+        stubs = tuple((lambda check=check: check) for check in checks)
+        monkeypatch.setattr(doctor, "CHECKS", stubs)
+
+    return use
+
+
+def test_fit_needs_every_required_check_and_no_other(use_checks) -> None:
+    use_checks(GOOD, SLOWER)
+    assert run(Doctor()) == 0
+    use_checks(GOOD, BROKEN)
+    assert run(Doctor()) == 1
+
+
+def test_report_gives_findings_and_the_remedies_needed(use_checks, capsys) -> None:
+    use_checks(GOOD, SLOWER, BROKEN)
+    run(Doctor())
+    report = capsys.readouterr().out
+    for text in ("[here]", "slower: wait", "broken: install it", "not fit"):
+        assert text in report
+    assert "good: none" not in report
+
+
+def test_json_holds_every_check(use_checks, capsys) -> None:
+    use_checks(GOOD, BROKEN)
+    run(Doctor(json=True))
+    report = json.loads(capsys.readouterr().out)
+    assert report["fit"] is False
+    assert [check["name"] for check in report["checks"]] == ["good", "broken"]
+    assert report["checks"][1]["remedy"] == "install it"
+
+
+def test_python_and_cores_are_found() -> None:
+    assert doctor.check_python().ok
+    assert doctor.usable_cpus() >= 1
+    assert "usable" in doctor.check_cpus().detail
+
+
+def test_a_missing_package_is_named_with_its_tested_version(monkeypatch) -> None:
+    monkeypatch.setitem(doctor.TESTED, "no-such-package", "1.2.3")
+    check = doctor.check_package("no-such-package")
+    assert not check.ok
+    assert check.detail == "missing (tested with 1.2.3)"
+    assert check.remedy == "pip install no-such-package==1.2.3"
+
+
+def test_another_version_is_mentioned_but_passes(monkeypatch) -> None:
+    monkeypatch.setattr(doctor, "version", lambda name: "9.9.9")
+    check = doctor.check_package("mujoco")
+    assert check.ok
+    assert check.detail.startswith("9.9.9 (tested with ")
+
+
+def test_a_failing_child_gives_its_last_line() -> None:
+    assert doctor._try("print('a'); print('b')") == (True, "b")
+    assert doctor._try("raise OSError('gone')") == (False, "OSError: gone")
+
+
+@pytest.mark.parametrize(
+    ("found", "asked", "ok"),
+    [
+        ("egl", "", True),
+        ("egl", "EGL", True),
+        ("egl", "osmesa", False),
+        (None, "", False),
+    ],
+)
+def test_rendering_needs_a_backend_that_is_not_contradicted(
+    found, asked, ok, monkeypatch
+) -> None:
+    monkeypatch.setattr(doctor, "find_backend", lambda: found)
+    monkeypatch.setenv("MUJOCO_GL", asked)
+    check = doctor.check_rendering()
+    assert check.ok is ok
+    assert bool(check.remedy) is not ok
+
+
+def test_dm_control_loads_a_task_on_this_mujoco() -> None:
+    check = doctor.check_dm_control()
+    assert check.ok, check.detail
+
+
+@pytest.mark.slow
+def test_this_machine_is_fit() -> None:
+    assert run(Doctor()) == 0
