@@ -14,8 +14,8 @@ JOINT_NOISE = 0.02
 
 def start_qpos(scene: Scene, streams: EpisodeStreams) -> Array:
     """[n, nq]: the default pose with robosuite's noise on the arm's joints."""
-    qpos = np.tile(scene.qpos, (len(streams), 1))
-    joints = scene.arm.qpos
+    qpos = np.tile(scene.handles.qpos, (len(streams), 1))
+    joints = scene.handles.arm.qpos
     qpos[:, joints] += streams.normal(JOINT_NOISE, len(joints))
     return qpos
 

@@ -9,18 +9,23 @@ Shaped reward, in [0, 1] a step: 0.2 reach + 0.25 grasp + 0.55 lift, where reach
     the cube, and lift, paid while grasped, rises linearly over the first 5 cm.
 """
 
+from typing import ClassVar
+
 import numpy as np
 
 from manip.envs.streams import EpisodeStreams
-from manip.envs.task import Measures, Start, Task
+from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, ramp
-from manip.sim.model import Scene, Sensors
+from manip.sim.handles import Sensors
+from manip.sim.model import Scene
 from tasks.arm import observe_arm, start_qpos, yaw_quaternion
 
 Array = np.ndarray
 
 TABLE = np.array([0.0, 0.0, 0.8])
 """Centre of the table top [m] (robosuite/environments/manipulation/lift.py)."""
+CENTRE = TABLE + np.array([0.0, 0.0, 0.15])
+"""Origin [m] of the tool's place in observations."""
 SPREAD = 0.03
 """Half width [m] of the square in which the cube starts (ibid.)."""
 DROP = 0.01
@@ -28,7 +33,7 @@ DROP = 0.01
 LIFTED = 0.04
 """Success height [m] of the cube's centre above the table (ibid.)."""
 REST = 0.021
-"""Mean half size [m] of the cube, which robosuite samples from 2.0 to 2.2 cm (ibid.)."""
+"""Mean half size [m] of the cube; robosuite samples 2.0 to 2.2 cm (ibid.)."""
 
 
 class Lift(Task):
@@ -44,7 +49,7 @@ class Lift(Task):
     )
     horizon = 100
     stages = ("near", "grasp", "lift")
-    weights = {
+    weights: ClassVar[Weights] = {
         "shaped": {"reach": 0.2, "grasp": 0.25, "lift": 0.55},
         "stock": {"reach": 1 / 2.25, "grasp": 0.25 / 2.25, "lift": 1.0},
     }
@@ -54,9 +59,9 @@ class Lift(Task):
         qpos = start_qpos(scene, streams)
         cube = scene.free_qpos("cube_main")
         half = scene.physics.geom("cube_g0").size[2]
-        spot = TABLE + [0, 0, DROP + half]
-        flat = streams.uniform(-SPREAD, SPREAD, 2)
-        position = spot + np.pad(flat, ((0, 0), (0, 1)))
+        spread = np.array([SPREAD, SPREAD, 0.0])
+        spot = TABLE + np.array([0.0, 0.0, DROP + half])
+        position = spot + streams.uniform(-spread, spread, 3)
         turn = yaw_quaternion(streams.uniform(0, 2 * np.pi, 1)[:, 0])
         qpos[:, cube] = np.concatenate([position, turn], axis=1)
         return Start(qpos)
@@ -75,7 +80,7 @@ class Lift(Task):
     def observe(self, m: Measures) -> dict[str, Array]:
         """The arm, then the cube: place, turn, offset from the tool, velocity."""
         return {
-            **observe_arm(m, TABLE + [0, 0, 0.15]),
+            **observe_arm(m, CENTRE),
             "cube_pos": 4.0 * (m["cube_pos"] - TABLE),
             "cube_quat": m["cube_quat"],
             "to_cube": np.clip(10.0 * m["to_cube"], -5.0, 5.0),

@@ -53,4 +53,3 @@ class Agent(ABC):
 
     def load_extra_state(self, state: dict[str, Any]) -> None:
         """Put back what `extra_state` gave."""
-

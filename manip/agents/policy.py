@@ -86,7 +86,9 @@ def load_policy(folder: Path) -> Policy:
         actor.load_state_dict(load_file(folder / WEIGHTS))
     except (SafetensorError, RuntimeError, FileNotFoundError) as error:
         reason = str(error).splitlines()[0]
-        raise UserError(f"{folder / WEIGHTS} does not hold this policy: {reason}") from error
+        raise UserError(
+            f"{folder / WEIGHTS} does not hold this policy: {reason}"
+        ) from error
     return Policy(card, actor)
 
 

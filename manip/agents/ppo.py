@@ -24,10 +24,12 @@ from manip.agents.networks import Actor, RunningNorm, mlp, orthogonal
 
 TRAINED = ("observation", "action", "action_log_prob", "advantage", "value_target")
 
+LOGGED = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction")
+
 
 @dataclass(frozen=True)
 class PPOConfig:
-    """Options of PPO; the defaults suit manipulation at 20 Hz with rewards in [0, 1]."""
+    """Options of PPO; defaults suit manipulation at 20 Hz, rewards in [0, 1]."""
 
     gamma: float = 0.97
     """Discount a control step."""
@@ -93,9 +95,7 @@ class PPO(Agent):
         )
         self._critic = _critic(config, spaces, self.actor.norm)
         self._loss = _loss(config, self.actor, self._critic)
-        self._gae = GAE(
-            gamma=config.gamma, lmbda=config.gae_lambda, value_network=None
-        )
+        self._gae = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None)
         self._params = list(self._loss.parameters())
         self._optim = torch.optim.Adam(
             self._params, config.learning_rate, eps=1e-5, fused=True
@@ -112,7 +112,10 @@ class PPO(Agent):
         flat = batch.select(*TRAINED).reshape(-1)
         size = -(-len(flat) // self.config.minibatches)
         for _ in range(self.config.epochs):
-            kls = [self._learn(flat[rows]) for rows in torch.randperm(len(flat)).split(size)]
+            kls = [
+                self._learn(flat[rows])
+                for rows in torch.randperm(len(flat)).split(size)
+            ]
             if sum(kls) / len(kls) > self.config.target_kl:
                 break
         if isinstance(self.actor.norm, RunningNorm):
@@ -134,7 +137,13 @@ class PPO(Agent):
         total.backward()
         nn.utils.clip_grad_norm_(self._params, self.config.max_gradient)
         self._optim.step()
-        names = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction")
+        names = (
+            "loss_objective",
+            "loss_critic",
+            "entropy",
+            "kl_approx",
+            "clip_fraction",
+        )
         self._logged = {name: terms[name].item() for name in names}
         return self._logged["kl_approx"]
 

@@ -35,7 +35,7 @@ STORED = (
 
 @dataclass(frozen=True)
 class SACConfig:
-    """Options of SAC; the defaults suit manipulation at 20 Hz with rewards in [0, 1]."""
+    """Options of SAC; defaults suit manipulation at 20 Hz, rewards in [0, 1]."""
 
     gamma: float = 0.95
     """Discount a control step."""

@@ -1,0 +1,1 @@
+"""Environments: tasks as TorchRL, on the engine and in stock robosuite."""

@@ -89,7 +89,9 @@ class TaskEnv(EnvBase):
         )
         flag = Binary(1, (*shape, 1), dtype=torch.bool)
         ends = ("done", "terminated", "truncated")
-        self.full_done_spec = Composite({end: flag.clone() for end in ends}, shape=shape)
+        self.full_done_spec = Composite(
+            {end: flag.clone() for end in ends}, shape=shape
+        )
 
     def _reset(
         self, tensordict: TensorDictBase | None = None, **_: Any
@@ -137,7 +139,9 @@ class TaskEnv(EnvBase):
         return {
             "observation": _joined(task.observe(m).values()),
             "reward": _column(weighted_sum(terms, task.weights[self.reward_set])),
-            "reward_terms": _joined([terms[name][:, None] for name in self.reward_names]),
+            "reward_terms": _joined(
+                [terms[name][:, None] for name in self.reward_names]
+            ),
             "success": torch.from_numpy(task.success(m)[:, None]),
             "stages": torch.from_numpy(np.stack([reached[s] for s in task.stages], 1)),
             "failed": torch.from_numpy(task.failure(m)[:, None]),

@@ -47,7 +47,7 @@ class NativeEnv(TaskEnv):
         )
         self.engine = BatchEngine(self.scene, num_worlds, threads)
         self._stagger = stagger
-        action_dim = self.scene.action_dim
+        action_dim = self.scene.handles.action_dim
         super().__init__(task, num_worlds, action_dim, horizon, reward, seed)
 
     def _read(self) -> Measures:

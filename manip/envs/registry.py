@@ -39,5 +39,7 @@ def _import(path: str) -> object:
 
 def _checked(name: str, cls: object) -> Task:
     if not (isinstance(cls, type) and issubclass(cls, Task)):
-        raise UserError(f"task {name!r} must be a subclass of manip.envs.Task, not {cls!r}")
+        raise UserError(
+            f"task {name!r} must be a subclass of manip.envs.Task, not {cls!r}"
+        )
     return cls()

@@ -6,7 +6,7 @@ import numpy as np
 
 from manip.envs.base import TaskEnv
 from manip.envs.task import Measures, Task
-from manip.sim.model import Sensors, stock_reader
+from manip.sim.reader import stock_reader
 from manip.sim.stock import make_stock, reseed
 
 Array = np.ndarray
@@ -22,6 +22,8 @@ class StockEnv(TaskEnv):
     Args:
         task: what is to be done.
         robot, controller, control_freq, horizon, reward, seed: as in `NativeEnv`.
+        hard_reset: rebuild the model at every reset, as robosuite does by default;
+            what it samples when it builds (Lift's cube size) then varies.
         stock: a robosuite environment to use, instead of making one.
     """
 
@@ -35,10 +37,16 @@ class StockEnv(TaskEnv):
         horizon: int | None = None,
         reward: str = "shaped",
         seed: int = 0,
+        hard_reset: bool = False,
         stock: Any = None,
     ) -> None:
         self.stock = stock or make_stock(
-            task.robosuite_name, robot, controller, control_freq, seed
+            task.robosuite_name,
+            robot,
+            controller,
+            control_freq,
+            seed,
+            hard_reset=hard_reset,
         )
         self._reader = stock_reader(self.stock, task.sensors)
         action_dim = self.stock.action_dim
@@ -50,6 +58,8 @@ class StockEnv(TaskEnv):
     def _start_episodes(self, worlds: Array) -> None:
         reseed(self.stock, self.seed + int(self.episode[0]))
         self.stock.reset()
+        if self.stock.hard_reset:
+            self._reader = stock_reader(self.stock, self.task.sensors)
 
     def _move(self, action: Array) -> Array:
         self.stock.step(action[0].astype(np.float64))

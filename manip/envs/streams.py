@@ -14,9 +14,13 @@ class EpisodeStreams:
     gives the same episodes whatever the number of worlds or threads.
     """
 
-    def __init__(self, seed: int, worlds: Sequence[int], episodes: Sequence[int]) -> None:
+    def __init__(
+        self, seed: int, worlds: Sequence[int], episodes: Sequence[int]
+    ) -> None:
         self._generators = [
-            np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, episode, world]))
+            np.random.Generator(
+                np.random.Philox(key=seed, counter=[0, 0, episode, world])
+            )
             for world, episode in zip(worlds, episodes, strict=True)
         ]
 

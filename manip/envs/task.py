@@ -11,18 +11,22 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from manip.envs.streams import EpisodeStreams
-from manip.sim.model import Scene, Sensors
+from manip.sim.handles import Sensors
+from manip.sim.model import Scene
 
 Array = np.ndarray
 Measures = Mapping[str, Array]
 """Named arrays [N, ...] (SI units, world frame): the engine's readings and more."""
+
+Weights = Mapping[str, Mapping[str, float]]
+"""Reward set -> term -> weight."""
 
 
 class Start(NamedTuple):
     """Where n episodes start: qpos [n, nq], and model fields name -> [n, k]."""
 
     qpos: Array
-    fields: Mapping[str, Array] = {}  # noqa: RUF012
+    fields: Mapping[str, Array] = {}
 
 
 class Task(ABC):
@@ -40,7 +44,7 @@ class Task(ABC):
     robosuite_name: ClassVar[str]
     sensors: ClassVar[Sensors]
     horizon: ClassVar[int]
-    weights: ClassVar[Mapping[str, Mapping[str, float]]]
+    weights: ClassVar[Weights]
     stages: ClassVar[tuple[str, ...]]
 
     @abstractmethod

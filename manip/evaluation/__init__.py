@@ -1,0 +1,1 @@
+"""Evaluation: whole episodes, statistics, reports; a policy is a callable."""

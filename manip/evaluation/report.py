@@ -71,7 +71,9 @@ def table(result: Evaluation) -> Table:
         shown.add_row(f"reached {stage}", f"{share:.1%}", "")
     shown.add_row("mean return", f"{result.return_mean:.1f}", "")
     if result.first_success_median is not None:
-        shown.add_row("median first success", f"step {result.first_success_median:g}", "")
+        shown.add_row(
+            "median first success", f"step {result.first_success_median:g}", ""
+        )
     shown.add_row("episodes, first seed", f"{result.episodes}, {result.seed}", "")
     shown.add_row("wall time", f"{result.seconds:.1f} s", "")
     return shown

@@ -1,0 +1,1 @@
+"""Programs: what `manip NAME` and scripts/NAME.py run."""

@@ -1,0 +1,1 @@
+"""Reward shaping: bounded kernels and their composition."""

@@ -1,0 +1,1 @@
+"""Simulation: the only room that touches mujoco, numba and robosuite."""

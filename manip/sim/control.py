@@ -78,8 +78,17 @@ def rotation_from_vector(vector: Array, out: Array) -> None:
 
 
 @jit
-def latch_pose_goal(action: Array, scale: Array, p: Array, rot: Array, b: Array,
-                    base: Array, goal_p: Array, goal_r: Array, turn: Array) -> None:
+def latch_pose_goal(
+    action: Array,
+    scale: Array,
+    p: Array,
+    rot: Array,
+    b: Array,
+    base: Array,
+    goal_p: Array,
+    goal_r: Array,
+    turn: Array,
+) -> None:
     """Pose goal in the base frame: B^T (p - b) + dx and Rot(w) B^T R.
 
     dx [m] and w [rad] are the first and last three of `action` [6] (clipped to
@@ -98,8 +107,17 @@ def latch_pose_goal(action: Array, scale: Array, p: Array, rot: Array, b: Array,
 
 
 @jit
-def pose_error(arm: Any, p: Array, rot: Array, b: Array, base: Array, goal_p: Array,
-               goal_r: Array, velocity: Array, out: Array) -> None:
+def pose_error(
+    arm: Any,
+    p: Array,
+    rot: Array,
+    b: Array,
+    base: Array,
+    goal_p: Array,
+    goal_r: Array,
+    velocity: Array,
+    out: Array,
+) -> None:
     """Desired force [3] and torque [3]: kp * error - kd * velocity, into out [6].
 
     The rotation error is 0.5 * sum_k R[:, k] x R*[:, k] = sin(angle) * axis;
@@ -118,8 +136,9 @@ def pose_error(arm: Any, p: Array, rot: Array, b: Array, base: Array, goal_p: Ar
 
 
 @jit
-def osc_torque(mass: Array, jac: Array, wrench: Array, pull: Array, h: Array,
-               work: Any, out: Array) -> None:
+def osc_torque(
+    mass: Array, jac: Array, wrench: Array, pull: Array, h: Array, work: Any, out: Array
+) -> None:
     """tau = Jp^T Lp f + Jr^T Lr t + h + M u - J^T L J u, into out [n].
 
     L = (J M^-1 J^T)^-1, Lp and Lr the same of the linear and angular blocks alone

@@ -74,5 +74,3 @@ def policy_of(agent: Agent, config: TrainConfig, env: NativeEnv, steps: int) -> 
         versions=versions(),
     )
     return Policy(card, agent.actor)
-
-

@@ -12,7 +12,6 @@ import numpy as np
 import torch
 import yaml
 
-from manip.envs.native import NativeEnv
 from manip.errors import UserError
 from manip.evaluation.episodes import Episode, EpisodeTracker, run_episodes
 from manip.evaluation.report import summarise
@@ -47,7 +46,7 @@ class Trainer:
         self.config = config
         self.folder = config.folder
         self.latest = self.folder / "checkpoints" / "latest.safetensors"
-        _claim(self.folder, self.latest, config.resume)
+        _check_folder(self.folder, self.latest, config.resume)
         self.env = training_env(config)
         self.judge = evaluation_env(config)
         self.agent = build_agent(config, self.env)
@@ -68,7 +67,7 @@ class Trainer:
         self._write_config()
         stages = self.env.task.stages
         with (
-            _interruptible(self._stop),
+            _Interruptible(self._stop),
             TrainingProgress(self.config.steps, self.env_steps, stages) as progress,
         ):
             self._train(progress)
@@ -172,7 +171,7 @@ class Trainer:
         return self.config.checkpoint_every
 
 
-def _claim(folder: Path, latest: Path, resume: bool) -> None:
+def _check_folder(folder: Path, latest: Path, resume: bool) -> None:
     if resume and not latest.is_file():
         raise UserError(f"nothing to resume: there is no {latest}")
     if not resume and latest.is_file():
@@ -180,10 +179,9 @@ def _claim(folder: Path, latest: Path, resume: bool) -> None:
             f"{folder} already holds a run: continue it with --resume, or choose "
             "another folder with --out"
         )
-    folder.mkdir(parents=True, exist_ok=True)
 
 
-class _interruptible:
+class _Interruptible:
     """While inside, the first Ctrl-C or SIGTERM calls `stop`; a second one kills."""
 
     SIGNALS: Sequence[signal.Signals] = (signal.SIGINT, signal.SIGTERM)

@@ -1,0 +1,108 @@
+"""Evaluating a policy on its task, natively or in stock robosuite."""
+
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from typing import Literal
+
+import torch
+
+from manip.envs.native import NativeEnv
+from manip.envs.registry import load_task
+from manip.envs.stock import StockEnv
+from manip.evaluation.episodes import Episode, Policy, run_episodes
+from manip.sim.engine import usable_cpus
+from manip.sim.model import Fidelity
+
+Where = Literal["stock", "native"]
+Progress = Callable[[int], None]
+"""Called with the number of episodes that have just ended."""
+
+
+def native_episodes(
+    task: str,
+    policy: Policy,
+    episodes: int,
+    seed: int,
+    *,
+    robot: str,
+    controller: str,
+    control_freq: int,
+    fidelity: Fidelity = "exact",
+) -> list[Episode]:
+    """Run episodes on the batch engine, each in a world of its own."""
+    env = NativeEnv(
+        load_task(task),
+        episodes,
+        robot=robot,
+        controller=controller,
+        control_freq=control_freq,
+        fidelity=fidelity,
+        seed=seed,
+    )
+    return run_episodes(env, policy, episodes)
+
+
+def stock_episodes(
+    task: str,
+    policy: Policy,
+    episodes: int,
+    seed: int,
+    *,
+    robot: str,
+    controller: str,
+    control_freq: int,
+    progress: Progress = lambda _: None,
+) -> list[Episode]:
+    """Run episodes in `robosuite.make(...)`, in a process for each usable CPU.
+
+    Episode e starts from seed + e, with a hard reset as robosuite's defaults have it,
+    so that sizes which robosuite samples when it builds a model vary, too.
+    """
+    made = (task, robot, controller, control_freq)
+    seeds = range(seed, seed + episodes)
+    workers = min(usable_cpus(), episodes)
+    if workers == 1:
+        _open_worker(policy, *made)
+        return list(_counted(map(_episode, seeds), progress))
+    pool = ProcessPoolExecutor(
+        workers, multiprocessing.get_context("spawn"), _open_worker, (policy, *made)
+    )
+    with pool:
+        return list(_counted(pool.map(_episode, seeds), progress))
+
+
+def timed(run: Callable[[], Sequence[Episode]]) -> tuple[Sequence[Episode], float]:
+    """The episodes of a run, and the seconds it took."""
+    began = time.monotonic()
+    return run(), time.monotonic() - began
+
+
+def _counted(episodes: Iterator[Episode], progress: Progress) -> Iterator[Episode]:
+    for episode in episodes:
+        progress(1)
+        yield episode
+
+
+_worker: dict[str, tuple[StockEnv, Policy]] = {}
+
+
+def _open_worker(
+    policy: Policy, task: str, robot: str, controller: str, control_freq: int
+) -> None:
+    torch.set_num_threads(1)
+    env = StockEnv(
+        load_task(task),
+        robot=robot,
+        controller=controller,
+        control_freq=control_freq,
+        hard_reset=True,
+    )
+    _worker["now"] = (env, policy)
+
+
+def _episode(seed: int) -> Episode:
+    env, policy = _worker["now"]
+    env.set_seed(seed)
+    return run_episodes(env, policy, 1)[0]

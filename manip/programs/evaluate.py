@@ -1,0 +1,93 @@
+"""`manip evaluate`: measure a policy's success over many episodes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.progress import Progress
+
+from manip.agents.policy import Policy, load_policy
+from manip.envs.registry import load_task
+from manip.errors import UserError
+from manip.evaluation.evaluate import Where, native_episodes, stock_episodes, timed
+from manip.evaluation.report import Evaluation, summarise, table
+from manip.files import write_text
+from manip.programs import cli
+from manip.sim.model import Fidelity
+from manip.versions import versions
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Measure a policy's success on its task.
+
+    Episodes start from seed, seed + 1, ...; the policy acts without noise. Success is
+    reported once (ever), at the end, and held (the last 10 control steps), each with
+    its Wilson 95 % interval.
+    """
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run folder, or a folder with a policy."""
+    env: Where = "stock"
+    """stock: robosuite.make(...) itself; native: the batch engine."""
+    episodes: int = 100
+    """Number of episodes."""
+    seed: int = 0
+    """Seed of the first episode."""
+    fidelity: Fidelity = "exact"
+    """Physics of the native engine."""
+    json: Path | None = None
+    """Write the result to this file, too."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Evaluate and print a table."""
+    options = cli.parse(Evaluate, arguments, "manip evaluate")
+    result = evaluate(options)
+    Console().print(table(result))
+    if options.json:
+        write_text(options.json, result.to_json())
+    return 0
+
+
+def evaluate(options: Evaluate) -> Evaluation:
+    """Run the episodes and sum them up."""
+    if options.episodes < 1:
+        raise UserError(f"--episodes must be at least 1, not {options.episodes}")
+    policy = load_policy(options.run)
+    card = policy.card
+    task = load_task(card.task)
+    episodes, seconds = timed(lambda: _episodes(options, policy))
+    return Evaluation(
+        task=card.task,
+        robot=card.robot,
+        algo=card.algo,
+        env=options.env,
+        fidelity="exact" if options.env == "stock" else options.fidelity,
+        episodes=options.episodes,
+        seed=options.seed,
+        env_steps_trained=card.env_steps,
+        **summarise(episodes, task.stages),
+        seconds=seconds,
+        versions=versions(),
+    )
+
+
+def _episodes(options: Evaluate, policy: Policy) -> Sequence:
+    card = policy.card
+    setting = {
+        "robot": card.robot,
+        "controller": card.controller,
+        "control_freq": card.control_freq,
+    }
+    asked = (card.task, policy, options.episodes, options.seed)
+    if options.env == "native":
+        return native_episodes(*asked, **setting, fidelity=options.fidelity)
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        running = bar.add_task("stock robosuite", total=options.episodes)
+        return stock_episodes(
+            *asked, **setting, progress=lambda n: bar.advance(running, n)
+        )

@@ -1,0 +1,55 @@
+"""`manip list`: what there is to choose from."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+
+from rich.console import Console
+from rich.table import Table
+
+from manip.envs.registry import task_names
+from manip.programs import cli
+from manip.sim.stock import CONTROLLERS, ROBOTS
+from manip.training.config import ALGORITHMS, recipe_names
+
+
+@dataclass(frozen=True)
+class List:
+    """Name the tasks, robots, algorithms, action spaces, recipes and policies."""
+
+    json: bool = False
+    """Print them as JSON."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Print what exists."""
+    options = cli.parse(List, arguments, "manip list")
+    found = catalogue()
+    if options.json:
+        print(json.dumps(found, indent=2))
+        return 0
+    shown = Table(show_header=False)
+    for kind, names in found.items():
+        shown.add_row(kind.replace("_", " "), ", ".join(names) or "none")
+    Console().print(shown)
+    return 0
+
+
+def catalogue() -> dict[str, list[str]]:
+    """Kind -> names of all that exists."""
+    return {
+        "tasks": task_names(),
+        "robots": list(ROBOTS),
+        "algorithms": list(ALGORITHMS),
+        "action_spaces": list(CONTROLLERS),
+        "recipes": recipe_names(),
+        "policies": _policies(),
+    }
+
+
+def _policies() -> list[str]:
+    folder = files("assets") / "policies"
+    if not folder.is_dir():
+        return []
+    return sorted(entry.name for entry in folder.iterdir() if entry.is_dir())

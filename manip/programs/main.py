@@ -1,0 +1,64 @@
+"""`manip NAME ...`: every program behind one command, loaded only when it is run."""
+
+import importlib
+import sys
+from collections.abc import Sequence
+
+from manip.errors import unknown
+from manip.programs import cli
+
+PROGRAMS = {
+    "train": "train a policy",
+    "evaluate": "measure a policy's success, in stock robosuite or natively",
+    "render": "film a policy",
+    "list": "name tasks, robots, algorithms, recipes",
+    "doctor": "check that this machine is fit",
+    "benchmark": "measure speed",
+}
+"""Program -> what it does; each is the module of its name in `manip.programs`."""
+
+
+def main() -> None:
+    """Run the program that the command line names."""
+    sys.exit(cli.run(_dispatch, sys.argv[1:]))
+
+
+def run_script(name: str) -> None:
+    """Run one program with the whole command line (for scripts/NAME.py)."""
+    sys.exit(cli.run(_program(name), sys.argv[1:]))
+
+
+def _dispatch(arguments: Sequence[str]) -> int:
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(_usage())
+        return 0
+    name, *rest = arguments
+    if name not in PROGRAMS:
+        raise unknown("program", name, PROGRAMS)
+    return _program(name)(rest)
+
+
+def _program(name: str) -> cli.Program:
+    module = importlib.import_module(f"manip.programs.{name}")
+    program: cli.Program = module.main
+    return program
+
+
+def _usage() -> str:
+    lines = [f"  {name:10} {purpose}" for name, purpose in PROGRAMS.items()]
+    return "\n".join(
+        [
+            "usage: manip PROGRAM [OPTIONS]",
+            "",
+            "Train 7-DoF arms on robosuite's own tasks, at native speed.",
+            "",
+            "programs:",
+            *lines,
+            "",
+            "manip PROGRAM --help explains the options of each.",
+        ]
+    )
+
+
+if __name__ == "__main__":
+    main()

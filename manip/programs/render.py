@@ -1,0 +1,106 @@
+"""`manip render`: film a policy at work."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from tensordict import TensorDictBase
+
+from manip.agents.policy import load_policy
+from manip.envs.native import NativeEnv
+from manip.envs.registry import load_task
+from manip.errors import UserError
+from manip.evaluation.episodes import run_episodes
+from manip.programs import cli
+from manip.sim.render import WORKSPACE, Caption, render_frames, save_animation
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Render:
+    """Film a policy at work, offscreen: EGL, else OSMesa, whichever works."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run folder, or a folder with a policy."""
+    out: Path = Path("video.mp4")
+    """File to write: .mp4 or .gif."""
+    episodes: int = 3
+    """Number of episodes."""
+    seed: int = 0
+    """Seed of the episodes."""
+    camera: str = WORKSPACE
+    """Camera: workspace, or one of the model's own (frontview, sideview, ...)."""
+    width: int = 640
+    """Picture width [pixel]."""
+    height: int = 480
+    """Picture height [pixel]."""
+    steps: int | None = None
+    """Control steps filmed of each episode; all unless given."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Film and say where the file lies."""
+    options = cli.parse(Render, arguments, "manip render")
+    film(options)
+    print(options.out)
+    return 0
+
+
+def film(options: Render) -> None:
+    """Run the episodes on the exact engine, then draw the recorded states."""
+    if options.episodes < 1:
+        raise UserError(f"--episodes must be at least 1, not {options.episodes}")
+    policy = load_policy(options.run)
+    card = policy.card
+    env = NativeEnv(
+        load_task(card.task),
+        options.episodes,
+        robot=card.robot,
+        controller=card.controller,
+        control_freq=card.control_freq,
+        seed=options.seed,
+    )
+    recorder = Recorder(env)
+    run_episodes(env, policy, options.episodes, watch=recorder)
+    frames = recorder.frames(options)
+    save_animation(options.out, frames, fps=card.control_freq)
+
+
+class Recorder:
+    """Keeps the worlds' states as they pass, and draws them afterwards."""
+
+    def __init__(self, env: NativeEnv) -> None:
+        self._env = env
+        self._states: list[Array] = []
+        self._success: list[Array] = []
+
+    def __call__(self, state: TensorDictBase) -> None:
+        """Take in the worlds as they are now."""
+        self._states.append(self._env.engine.states.copy())
+        self._success.append(state["success"].squeeze(-1).numpy().copy())
+
+    def frames(self, options: Render) -> Iterator[Array]:
+        """Pictures [H, W, 3] uint8 of all episodes, one after the other."""
+        states = np.stack(self._states)[: options.steps]
+        success = np.stack(self._success)[: options.steps]
+        for world in range(self._env.num_worlds):
+            captions = [
+                Caption(_words(world, step, bool(done)), bool(done))
+                for step, done in enumerate(success[:, world])
+            ]
+            yield from render_frames(
+                self._env.engine.visual_model(states[0, world]),
+                states[:, world, : self._env.scene.visual.nq],
+                options.camera,
+                options.width,
+                options.height,
+                captions,
+            )
+
+
+def _words(world: int, step: int, success: bool) -> str:
+    return f"episode {world + 1}   step {step}" + ("   SUCCESS" if success else "")

@@ -1,0 +1,66 @@
+"""`manip train`: train a policy from a tuned recipe."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+import yaml
+
+from manip.envs.registry import load_task
+from manip.errors import UserError, unknown
+from manip.programs import cli
+from manip.sim.stock import ROBOTS, check_choice
+from manip.training.config import ALGORITHMS, TrainConfig, from_dict, recipe
+
+
+@dataclass(frozen=True)
+class _Start:
+    """The options that choose the recipe which sets all others."""
+
+    task: str = "Lift"
+    algo: str = "sac"
+    out: Path | None = None
+    resume: bool = False
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Train; 0 when the run ended, 3 when it was stopped and saved on the way."""
+    config = cli.parse(TrainConfig, arguments, "manip train", _defaults(arguments))
+    load_task(config.task)
+    check_choice("robot", config.robot, ROBOTS)
+    from manip.training.loop import Trainer  # torch and numba load here, after checks
+
+    finished = Trainer(config).run()
+    if finished:
+        print(f"trained policy: {config.folder / 'policy'}", file=sys.stderr)
+    return 0 if finished else 3
+
+
+def _defaults(arguments: Sequence[str]) -> TrainConfig:
+    """The recipe of the named task and algorithm, or the options of a run to resume."""
+    start, _ = tyro.cli(
+        _Start, args=list(arguments), return_unknown_args=True, add_help=False
+    )
+    if start.resume:
+        return _recorded(start.out)
+    if start.algo not in ALGORITHMS:
+        raise unknown("algorithm", start.algo, ALGORITHMS)
+    load_task(start.task)
+    return recipe(start.task, start.algo)
+
+
+def _recorded(out: Path | None) -> TrainConfig:
+    path = (out or Path()) / "config.yaml"
+    if out is None or not path.is_file():
+        raise UserError(f"--resume needs --out with a run folder; there is no {path}")
+    try:
+        values = yaml.safe_load(path.read_text())
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        reason = " ".join(str(error).split())
+        raise UserError(f"{path} is damaged: {reason}") from error
+    if not isinstance(values, dict):
+        raise UserError(f"{path} is damaged: it holds no options")
+    values.pop("versions", None)
+    return from_dict(values | {"out": str(out), "resume": True})

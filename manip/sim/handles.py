@@ -1,0 +1,275 @@
+"""Where things lie in a robosuite environment: indices, names, gains.
+
+Read off the environment's own objects, so that any arm, gripper and task of robosuite
+works alike, natively and in stock.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from manip.errors import unknown
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What a task reads besides the arm, and what it sets, by MuJoCo names.
+
+    bodies: name -> body; gives `<name>_pos` [3] m, `<name>_quat` [4] wxyz, and for a
+        body on a free joint `<name>_linvel` [3] m/s, `<name>_angvel` [3] rad/s.
+    sites: name -> site; gives `<name>_pos` [3] m.
+    touches: name -> (side, side), a side being a geom group of the gripper (such as
+        "left_fingerpad") or a body with all below it; gives `<name>` [1], 1 in touch.
+    fields: name -> (model array, object), such as ("site_pos", "goal"): entries of
+        the model that every world has for itself and a reset may set.
+    """
+
+    bodies: Mapping[str, str] = field(default_factory=dict)
+    sites: Mapping[str, str] = field(default_factory=dict)
+    touches: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    fields: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+
+
+class Arm(NamedTuple):
+    """The arm's indices and gains, as the compiled control laws need them.
+
+    osc: whether the action is a tool pose (OSC_POSE) or joint angles. `mass` [n, n]
+    holds the address of each entry of the arm's mass matrix in `MjData.M`.
+    """
+
+    osc: bool
+    qpos: Array
+    dof: Array
+    actuator: Array
+    low: Array
+    high: Array
+    mass: Array
+    scale: Array
+    kp: float
+    kd: float
+    tool: int
+    base: int
+
+
+class Gripper(NamedTuple):
+    """The gripper law: command += speed * sign(a), clipped to [-1, 1], then affine.
+
+    ctrl[actuator] = bias + weight * command; all arrays have one entry an actuator.
+    """
+
+    actuator: Array
+    speed: Array
+    bias: Array
+    weight: Array
+
+
+class Slot(NamedTuple):
+    """A named run of entries in an array of MjData or MjModel."""
+
+    name: str
+    array: str
+    start: int
+    size: int
+
+
+class Side(NamedTuple):
+    """One side of a contact: geoms by name, or a body with all below it."""
+
+    geoms: tuple[str, ...]
+    body: str | None
+
+
+class Touch(NamedTuple):
+    """A named contact flag between two sides."""
+
+    name: str
+    first: Side
+    second: Side
+
+
+@dataclass(frozen=True)
+class Handles:
+    """Indices and gains of a robosuite environment's robot, and a task's sensors.
+
+    qpos [nq] is the pose before a reset's randomisation; finger_qpos and finger_dof
+    index it and qvel. `slots` are read from MjData, `fields` set in MjModel.
+    """
+
+    arm: Arm
+    gripper: Gripper
+    qpos: Array
+    finger_qpos: Array
+    finger_dof: Array
+    slots: tuple[Slot, ...]
+    fields: tuple[Slot, ...]
+    touches: tuple[Touch, ...]
+
+    @property
+    def action_dim(self) -> int:
+        """Length of an action: the arm's part, then one number for the gripper."""
+        return len(self.arm.scale) + bool(len(self.gripper.actuator))
+
+
+def find_handles(stock: Any, sensors: Sensors) -> Handles:
+    """Handles of a stock environment.
+
+    Raises:
+        UserError: a sensor names something that the environment's model lacks.
+    """
+    model, robot = stock.sim.model._model, stock.robots[0]
+    return Handles(
+        arm=_arm(stock),
+        gripper=_gripper(stock),
+        qpos=_default_qpos(stock),
+        finger_qpos=_finger_indices(robot, "pos"),
+        finger_dof=_finger_indices(robot, "vel"),
+        slots=(*_robot_slots(stock), *_task_slots(model, sensors)),
+        fields=tuple(_field(model, name, *at) for name, at in sensors.fields.items()),
+        touches=tuple(
+            Touch(name, _side(stock, first), _side(stock, second))
+            for name, (first, second) in sensors.touches.items()
+        ),
+    )
+
+
+def with_joints(handles: Handles, named: dict[str, Array]) -> dict[str, Array]:
+    """Add the readings that index others: the arm's joints and the fingers'."""
+    named["joint_pos"] = named["qpos"][:, handles.arm.qpos]
+    named["joint_vel"] = named["qvel"][:, handles.arm.dof]
+    named["gripper_qpos"] = named["qpos"][:, handles.finger_qpos]
+    named["gripper_qvel"] = named["qvel"][:, handles.finger_dof]
+    named["rest_pos"] = handles.qpos[handles.arm.qpos][None]
+    return named
+
+
+def lookup(model: mujoco.MjModel, kind: str, name: str) -> int:
+    """Id of a named body, site, geom, ... of the model.
+
+    Raises:
+        UserError: no such name; the message lists the names that exist.
+    """
+    found = mujoco.mj_name2id(
+        model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), name
+    )
+    if found < 0:
+        count = getattr(model, f"n{kind}")
+        known = (getattr(model, kind)(i).name for i in range(count))
+        raise unknown(kind, name, filter(None, known))
+    return found
+
+
+def _side(stock: Any, name: str) -> Side:
+    groups = stock.robots[0].gripper["right"].important_geoms
+    if name in groups:
+        return Side(tuple(groups[name]), None)
+    lookup(stock.sim.model._model, "body", name)
+    return Side((), name)
+
+
+def _arm(stock: Any) -> Arm:
+    model = stock.sim.model._model
+    part = stock.robots[0].part_controllers["right"]
+    robot = stock.robots[0]
+    actuator = np.array(robot._ref_arm_joint_actuator_indexes)
+    dof = np.array(part.qvel_index)
+    base = f"{part.naming_prefix}{part.part_name}_center"
+    return Arm(
+        osc=part.name == "OSC_POSE",
+        qpos=np.array(part.qpos_index),
+        dof=dof,
+        actuator=actuator,
+        low=model.actuator_ctrlrange[actuator, 0].copy(),
+        high=model.actuator_ctrlrange[actuator, 1].copy(),
+        mass=_mass_addresses(model, dof),
+        scale=np.array(part.output_max, dtype=float),
+        kp=float(part.kp[0]),
+        kd=float(part.kd[0]),
+        tool=lookup(model, "site", robot.gripper["right"].important_sites["grip_site"]),
+        base=lookup(model, "site", base),
+    )
+
+
+def _mass_addresses(model: mujoco.MjModel, dof: Array) -> Array:
+    """Address in MjData.M (lower triangle, sparse rows) of M[dof[i], dof[j]]."""
+    table = np.full((model.nv, model.nv), -1)
+    for row in range(model.nv):
+        start = model.M_rowadr[row]
+        entries = np.arange(start, start + model.M_rownnz[row])
+        table[row, model.M_colind[entries]] = entries
+    return np.maximum(table, table.T)[np.ix_(dof, dof)]
+
+
+def _gripper(stock: Any) -> Gripper:
+    """Read the gripper's law off robosuite's object by trying it: close once from 0."""
+    robot = stock.robots[0]
+    hand = robot.gripper["right"]
+    actuator = np.array(robot._ref_joint_gripper_actuator_indexes["right"], dtype=int)
+    low, high = stock.sim.model._model.actuator_ctrlrange[actuator].T
+    kept = hand.current_action
+    hand.current_action = np.zeros(hand.dof)
+    speed = np.broadcast_to(hand.format_action(np.ones(1)), actuator.shape).copy()
+    hand.current_action = kept
+    return Gripper(actuator, speed, (high + low) / 2, (high - low) / 2)
+
+
+def _default_qpos(stock: Any) -> Array:
+    robot = stock.robots[0]
+    qpos = stock.sim.model._model.qpos0.copy()
+    qpos[np.array(robot._ref_joint_pos_indexes)] = robot.init_qpos
+    qpos[_finger_indices(robot, "pos")] = robot.gripper["right"].init_qpos
+    return qpos
+
+
+def _finger_indices(robot: Any, kind: str) -> Array:
+    return np.array(getattr(robot, f"_ref_gripper_joint_{kind}_indexes")["right"])
+
+
+def _robot_slots(stock: Any) -> tuple[Slot, ...]:
+    """The arm's readings that need no indexing: whole state, tool pose, hand body."""
+    model, robot = stock.sim.model._model, stock.robots[0]
+    tool = lookup(model, "site", robot.gripper["right"].important_sites["grip_site"])
+    hand = lookup(model, "body", robot.robot_model.eef_name["right"])
+    return (
+        Slot("qpos", "qpos", 0, model.nq),
+        Slot("qvel", "qvel", 0, model.nv),
+        Slot("qacc", "qacc", 0, model.nv),
+        Slot("eef_pos", "site_xpos", 3 * tool, 3),
+        Slot("eef_mat", "site_xmat", 9 * tool, 9),
+        Slot("hand_quat", "xquat", 4 * hand, 4),
+    )
+
+
+def _task_slots(model: mujoco.MjModel, sensors: Sensors) -> list[Slot]:
+    slots = []
+    for name, body in sensors.bodies.items():
+        slots += _body_slots(model, name, lookup(model, "body", body))
+    for name, site in sensors.sites.items():
+        slots.append(
+            Slot(f"{name}_pos", "site_xpos", 3 * lookup(model, "site", site), 3)
+        )
+    return slots
+
+
+def _body_slots(model: mujoco.MjModel, name: str, body: int) -> list[Slot]:
+    slots = [
+        Slot(f"{name}_pos", "xpos", 3 * body, 3),
+        Slot(f"{name}_quat", "xquat", 4 * body, 4),
+    ]
+    joint = model.body_jntadr[body]
+    if joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+        dof = int(model.jnt_dofadr[joint])
+        slots.append(Slot(f"{name}_linvel", "qvel", dof, 3))
+        slots.append(Slot(f"{name}_angvel", "qvel", dof + 3, 3))
+    return slots
+
+
+def _field(model: mujoco.MjModel, name: str, array: str, target: str) -> Slot:
+    kind = array.split("_")[0]
+    rows = getattr(model, array)
+    size = rows[0].size
+    return Slot(name, array, size * lookup(model, kind, target), size)

@@ -1,0 +1,78 @@
+"""Reach: bring the tool to a goal point above the table. Our own robosuite `Reach`.
+
+Success: the grip site is within 2 cm of the goal.
+Failure: none; an episode ends by time.
+Start: goal uniform in a box of 30 x 50 x 30 cm, 10 to 40 cm above the table; arm in
+    its default pose with 0.02 rad noise a joint.
+Shaped reward, in [0, 1] a step: 0.5 near + 0.5 at_goal, where near is 1 - tanh(5 d) of
+    the distance d [m] and at_goal falls from 1 within 1 cm to 0.1 at 8 cm beyond it.
+"""
+
+from typing import ClassVar
+
+import numpy as np
+
+from manip.envs.streams import EpisodeStreams
+from manip.envs.task import Measures, Start, Task, Weights
+from manip.rewards.kernels import near, tolerance
+from manip.sim.handles import Sensors
+from manip.sim.model import Scene
+from tasks.arm import observe_arm, start_qpos
+from tasks.scenes.reach import GOAL_HIGH, GOAL_LOW, REACHED
+
+Array = np.ndarray
+
+
+class Reach(Task):
+    """Bring the tool to the goal; see the module's docstring for the numbers."""
+
+    robosuite_name = "Reach"
+    sensors = Sensors(
+        sites={"goal": "goal"}, fields={"goal_place": ("site_pos", "goal")}
+    )
+    horizon = 80
+    stages = ("near", "reach")
+    weights: ClassVar[Weights] = {
+        "shaped": {"near": 0.5, "at_goal": 0.5},
+        "stock": {"reach": 1.0},
+    }
+
+    def sample_start(self, scene: Scene, streams: EpisodeStreams) -> Start:
+        """Draw the goal; see the module's docstring."""
+        qpos = start_qpos(scene, streams)
+        return Start(qpos, {"goal_place": streams.uniform(GOAL_LOW, GOAL_HIGH, 3)})
+
+    def measure(self, read: Measures) -> Measures:
+        """Add to_goal [N, 3] m and distance [N] m, from the tool."""
+        to_goal = read["goal_pos"] - read["eef_pos"]
+        return {
+            **read,
+            "to_goal": to_goal,
+            "distance": np.linalg.norm(to_goal, axis=1),
+        }
+
+    def observe(self, m: Measures) -> dict[str, Array]:
+        """The arm, then the goal: place, and offset from the tool."""
+        centre = (GOAL_LOW + GOAL_HIGH) / 2
+        return {
+            **observe_arm(m, centre),
+            "goal_pos": 4.0 * (m["goal_pos"] - centre),
+            "to_goal": np.clip(10.0 * m["to_goal"], -5.0, 5.0),
+        }
+
+    def reward_terms(self, m: Measures, reward: str) -> dict[str, Array]:
+        """Terms of the shaped or the stock reward."""
+        if reward == "stock":
+            return {"reach": np.where(self.success(m), 1.0, near(m["distance"], 0.1))}
+        return {
+            "near": near(m["distance"], 0.2),
+            "at_goal": tolerance(m["distance"], 0.0, 0.01, margin=0.08),
+        }
+
+    def success(self, m: Measures) -> Array:
+        """The tool is within 2 cm of the goal."""
+        return m["distance"] < REACHED
+
+    def reached(self, m: Measures) -> dict[str, Array]:
+        """near: within 10 cm; reach: within 2 cm."""
+        return {"near": m["distance"] < 0.1, "reach": self.success(m)}

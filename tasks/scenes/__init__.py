@@ -1,0 +1,1 @@
+"""robosuite environments of our own, for tasks that robosuite lacks."""
