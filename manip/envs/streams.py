@@ -1,7 +1,5 @@
 """Random streams that belong to an episode of a world, and to nothing else."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 Array = np.ndarray
@@ -14,9 +12,7 @@ class EpisodeStreams:
     gives the same episodes whatever the number of worlds or threads.
     """
 
-    def __init__(
-        self, seed: int, worlds: Sequence[int], episodes: Sequence[int]
-    ) -> None:
+    def __init__(self, seed: int, worlds: Array, episodes: Array) -> None:
         self._generators = [
             np.random.Generator(
                 np.random.Philox(key=seed, counter=[0, 0, episode, world])

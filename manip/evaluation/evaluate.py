@@ -14,6 +14,7 @@ from manip.envs.stock import StockEnv
 from manip.evaluation.episodes import Episode, Policy, run_episodes
 from manip.sim.engine import usable_cpus
 from manip.sim.model import Fidelity
+from manip.sim.stock import Rig
 
 Where = Literal["stock", "native"]
 Progress = Callable[[int], None]
@@ -25,19 +26,14 @@ def native_episodes(
     policy: Policy,
     episodes: int,
     seed: int,
-    *,
-    robot: str,
-    controller: str,
-    control_freq: int,
-    fidelity: Fidelity = "exact",
+    rig: Rig,
+    fidelity: Fidelity,
 ) -> list[Episode]:
     """Run episodes on the batch engine, each in a world of its own."""
     env = NativeEnv(
         load_task(task),
         episodes,
-        robot=robot,
-        controller=controller,
-        control_freq=control_freq,
+        **rig._asdict(),
         fidelity=fidelity,
         seed=seed,
     )
@@ -49,10 +45,7 @@ def stock_episodes(
     policy: Policy,
     episodes: int,
     seed: int,
-    *,
-    robot: str,
-    controller: str,
-    control_freq: int,
+    rig: Rig,
     progress: Progress = lambda _: None,
 ) -> list[Episode]:
     """Run episodes in `robosuite.make(...)`, in a process for each usable CPU.
@@ -60,14 +53,13 @@ def stock_episodes(
     Episode e starts from seed + e, with a hard reset as robosuite's defaults have it,
     so that sizes which robosuite samples when it builds a model vary, too.
     """
-    made = (task, robot, controller, control_freq)
     seeds = range(seed, seed + episodes)
     workers = min(usable_cpus(), episodes)
     if workers == 1:
-        _open_worker(policy, *made)
+        _open_worker(policy, task, rig)
         return list(_counted(map(_episode, seeds), progress))
     pool = ProcessPoolExecutor(
-        workers, multiprocessing.get_context("spawn"), _open_worker, (policy, *made)
+        workers, multiprocessing.get_context("spawn"), _open_worker, (policy, task, rig)
     )
     with pool:
         return list(_counted(pool.map(_episode, seeds), progress))
@@ -88,17 +80,9 @@ def _counted(episodes: Iterator[Episode], progress: Progress) -> Iterator[Episod
 _worker: dict[str, tuple[StockEnv, Policy]] = {}
 
 
-def _open_worker(
-    policy: Policy, task: str, robot: str, controller: str, control_freq: int
-) -> None:
+def _open_worker(policy: Policy, task: str, rig: Rig) -> None:
     torch.set_num_threads(1)
-    env = StockEnv(
-        load_task(task),
-        robot=robot,
-        controller=controller,
-        control_freq=control_freq,
-        hard_reset=True,
-    )
+    env = StockEnv(load_task(task), **rig._asdict(), hard_reset=True)
     _worker["now"] = (env, policy)
 
 

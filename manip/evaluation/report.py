@@ -43,7 +43,7 @@ class Evaluation:
 
 
 def summarise(episodes: Sequence[Episode], stages: Sequence[str]) -> dict[str, Any]:
-    """The statistics of an `Evaluation`: success, return_mean, stages, first success."""
+    """The statistics of an `Evaluation`, under the names of its fields."""
     reached = np.array([episode.stages for episode in episodes]).mean(0)
     first = [e.first_success for e in episodes if e.first_success is not None]
     return {

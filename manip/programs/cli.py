@@ -34,7 +34,7 @@ def parse(
             return tyro.cli(
                 options,
                 args=list(arguments),
-                default=default,
+                default=default,  # type: ignore[arg-type]
                 prog=program,
                 config=(tyro.conf.AvoidSubcommands,),
             )

@@ -8,7 +8,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from manip.programs import cli
 from manip.sim.gl import INSTALL_HINT, find_backend
 
 TESTED = {
@@ -73,6 +74,11 @@ class Check:
     required: bool
     detail: str
     remedy: str
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Check this machine; 0 only when it is fit."""
+    return run(cli.parse(Doctor, arguments, "manip doctor"))
 
 
 def run(options: Doctor) -> int:

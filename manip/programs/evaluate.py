@@ -12,11 +12,13 @@ from rich.progress import Progress
 from manip.agents.policy import Policy, load_policy
 from manip.envs.registry import load_task
 from manip.errors import UserError
+from manip.evaluation.episodes import Episode
 from manip.evaluation.evaluate import Where, native_episodes, stock_episodes, timed
 from manip.evaluation.report import Evaluation, summarise, table
 from manip.files import write_text
 from manip.programs import cli
 from manip.sim.model import Fidelity
+from manip.sim.stock import Rig
 from manip.versions import versions
 
 
@@ -76,18 +78,12 @@ def evaluate(options: Evaluate) -> Evaluation:
     )
 
 
-def _episodes(options: Evaluate, policy: Policy) -> Sequence:
+def _episodes(options: Evaluate, policy: Policy) -> Sequence[Episode]:
     card = policy.card
-    setting = {
-        "robot": card.robot,
-        "controller": card.controller,
-        "control_freq": card.control_freq,
-    }
+    rig = Rig(card.robot, card.controller, card.control_freq)
     asked = (card.task, policy, options.episodes, options.seed)
     if options.env == "native":
-        return native_episodes(*asked, **setting, fidelity=options.fidelity)
+        return native_episodes(*asked, rig, options.fidelity)
     with Progress(console=Console(stderr=True), transient=True) as bar:
         running = bar.add_task("stock robosuite", total=options.episodes)
-        return stock_episodes(
-            *asked, **setting, progress=lambda n: bar.advance(running, n)
-        )
+        return stock_episodes(*asked, rig, lambda n: bar.advance(running, n))

@@ -42,7 +42,7 @@ def tolerance(
     if low > high or margin <= 0 or not 0 < value_at_margin < 1:
         raise UserError(
             "tolerance needs low <= high, margin > 0 and 0 < value_at_margin < 1, not "
-            f"low {low}, high {high}, margin {margin}, value_at_margin {value_at_margin}"
+            f"{low}, {high}, {margin} and {value_at_margin}"
         )
     outside = np.maximum(np.maximum(low - x, x - high), 0.0) / margin
     return np.exp(np.log(value_at_margin) * outside**2)

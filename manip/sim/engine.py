@@ -161,7 +161,8 @@ class BatchEngine:
         model = mujoco.MjModel.__copy__(self.scene.visual)
         for slot in self.scene.handles.fields:
             flat = getattr(model, slot.array).reshape(-1)
-            flat[slot.start : slot.start + slot.size] = state[self.field_columns(slot.name)]
+            values = state[self.field_columns(slot.name)]
+            flat[slot.start : slot.start + slot.size] = values
         return model
 
     def _work_through(

@@ -6,7 +6,7 @@ the batch engine and the oracle that the engine must agree with.
 
 import logging
 import os
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,6 +39,14 @@ CONTROL_FREQUENCIES = (10, 20, 25, 50, 100)
 At others (30, 40 Hz) robosuite's floating-point clocks drift and some steps return
 no new observation.
 """
+
+
+class Rig(NamedTuple):
+    """An arm and how it is driven: `control_freq` in Hz, the rest as robosuite says."""
+
+    robot: str = "Panda"
+    controller: str = "OSC_POSE"
+    control_freq: int = 20
 
 
 def make_stock(

@@ -1,0 +1,100 @@
+"""The main job in one command: train, evaluate in stock robosuite, film, plot."""
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import yaml
+from rich.console import Console
+from rich.table import Table
+
+from manip.evaluation.plot import plot_learning_curve
+from manip.evaluation.report import Evaluation, table
+from manip.files import write_text
+from manip.programs import cli
+from manip.programs.evaluate import Evaluate, evaluate
+from manip.programs.render import Render, film
+from manip.training.config import recipe
+from manip.training.logs import read_metrics
+from manip.training.loop import Trainer
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Train a Panda to lift a cube with SAC, prove it in stock robosuite, film it.
+
+    An interrupted demo goes on where it stopped; a finished one starts anew.
+    """
+
+    out: Path = Path("runs/demo")
+    """Folder for everything that the demo makes."""
+    seed: int = 0
+    """Seed of the training."""
+    episodes: int = 100
+    """Episodes of the evaluation in stock robosuite."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the demo; 0 when it came to its end."""
+    options = cli.parse(Demo, arguments, "demo")
+    console = Console()
+    console.rule("1/3  train: Lift, Panda, SAC")
+    trainer = _trainer(options)
+    if not trainer.run():
+        return 3
+    console.rule(f"2/3  evaluate: {options.episodes} episodes in stock robosuite")
+    result = evaluate(Evaluate(options.out, "stock", options.episodes))
+    write_text(options.out / "eval.json", result.to_json())
+    console.rule("3/3  film and plot")
+    film(Render(options.out, options.out / "video.mp4", steps=60))
+    curve = options.out / "learning_curve.png"
+    title = f"Lift, Panda, SAC, seed {options.seed}"
+    plot_learning_curve(read_metrics(options.out / "metrics.csv"), title, curve)
+    console.print(table(result))
+    console.print(_summary(options.out, trainer, result))
+    return 0
+
+
+def _trainer(options: Demo) -> Trainer:
+    config = replace(recipe("Lift", "sac"), seed=options.seed, out=options.out)
+    if _unfinished(options.out, config.steps):
+        return Trainer(replace(config, resume=True))
+    shutil.rmtree(options.out, ignore_errors=True)
+    return Trainer(config)
+
+
+def _unfinished(folder: Path, steps: int) -> bool:
+    if not (folder / "checkpoints" / "latest.safetensors").is_file():
+        return False
+    recorded = yaml.safe_load((folder / "config.yaml").read_text())
+    rows = read_metrics(folder / "metrics.csv")
+    done = int(rows[-1]["env_steps"]) if rows else 0
+    return bool(recorded["steps"] == steps and done < steps)
+
+
+def _summary(folder: Path, trainer: Trainer, result: Evaluation) -> Table:
+    shown = Table(title="demo", title_style="bold", show_header=False)
+    minutes, seconds = divmod(round(trainer.seconds), 60)
+    held = result.success["held"]
+    shown.add_row(
+        "trained", f"{trainer.env_steps:,} steps in {minutes}:{seconds:02} min"
+    )
+    shown.add_row(
+        "held success in stock robosuite",
+        f"{held.rate:.1%} of {result.episodes} episodes "
+        f"({held.low:.1%} - {held.high:.1%})",
+    )
+    for name, what in _PARTS.items():
+        shown.add_row(what, str(folder / name))
+    return shown
+
+
+_PARTS = {
+    "policy": "policy",
+    "eval.json": "evaluation",
+    "video.mp4": "video",
+    "learning_curve.png": "learning curve",
+    "metrics.csv": "metrics (TensorBoard: tensorboard/)",
+    "config.yaml": "configuration",
+}
