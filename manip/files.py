@@ -60,7 +60,7 @@ def load_tree(path: Path) -> Any:
         with safe_open(path, "pt") as file:
             header = json.loads((file.metadata() or {})["tree"])
             return _unflatten(header, file)
-    except (SafetensorError, KeyError, json.JSONDecodeError) as error:
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path} is damaged or not a manip file: {error}") from error
 
 
@@ -71,24 +71,30 @@ def _flush(path: Path) -> None:
 
 def _flatten(node: Any, path: str, tensors: dict[str, torch.Tensor]) -> Any:
     if isinstance(node, torch.Tensor):
-        tensors[path] = node.detach().contiguous().clone()
-        return {_TENSOR: path}
+        name = f"{len(tensors)}{path}"
+        tensors[name] = node.detach().contiguous().clone()
+        return {_TENSOR: name}
     if isinstance(node, np.ndarray):
-        tensors[path] = torch.from_numpy(np.ascontiguousarray(node).copy())
-        return {_ARRAY: path}
+        name = f"{len(tensors)}{path}"
+        tensors[name] = torch.from_numpy(node.copy(order="C"))
+        return {_ARRAY: name}
     if isinstance(node, dict):
+        int_keys = _has_int_keys(node)
         children = {
             str(key): _flatten(child, f"{path}/{key}", tensors)
             for key, child in node.items()
         }
-        return {_INT_KEYS: children} if _has_int_keys(node) else children
+        return {_INT_KEYS: children} if int_keys else children
     if isinstance(node, list | tuple):
         return [_flatten(child, f"{path}/{i}", tensors) for i, child in enumerate(node)]
     return node
 
 
 def _has_int_keys(node: dict[Any, Any]) -> bool:
-    return bool(node) and all(isinstance(key, int) for key in node)
+    kinds = {type(key) for key in node}
+    if not kinds <= {int} and not kinds <= {str}:
+        raise TypeError(f"keys must be all text or all integers, not {list(node)}")
+    return kinds == {int}
 
 
 def _unflatten(node: Any, file: Any) -> Any:

@@ -24,13 +24,13 @@ def observe_arm(m: Measures, centre: Array) -> dict[str, Array]:
     """The arm's part of an observation.
 
     joint_pos [rad] from the default pose; joint_vel [rad/s] * 0.3; gripper_qpos
-    [m or rad] * 10; gripper_command in [-1, 1]; eef_pos [m] from `centre` * 4.
+    [m or rad] * 10; gripper_closing in [-1, 1]; eef_pos [m] from `centre` * 4.
     """
     return {
         "joint_pos": m["joint_pos"] - m["rest_pos"],
         "joint_vel": 0.3 * m["joint_vel"],
         "gripper_qpos": 10.0 * m["gripper_qpos"],
-        "gripper_command": m["gripper_command"],
+        "gripper_closing": m["gripper_closing"][:, None],
         "eef_pos": 4.0 * (m["eef_pos"] - centre),
     }
 

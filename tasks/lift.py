@@ -5,8 +5,10 @@ Failure: none; an episode ends by time.
 Start: cube centre uniform within +-3 cm of the table's centre, any yaw, 1 cm above the
     table; arm in its default pose with 0.02 rad noise a joint, gripper half open.
 Shaped reward, in [0, 1] a step: 0.2 reach + 0.25 grasp + 0.55 lift, where reach is
-    1 - tanh(5 d) of the tool-cube distance d [m], grasp is both finger pads touching
-    the cube, and lift, paid while grasped, rises linearly over the first 5 cm.
+    1 - tanh(5 d) of the tool-cube distance d [m], grasp rises from 0 to 1 as the
+    gripper is told to close, and lift rises linearly over the first 5 cm; both are
+    paid only while both finger pads touch the cube and d < 2 cm. (Without the last
+    condition agents press the pads onto the cube's top, and stay there.)
 """
 
 from typing import ClassVar
@@ -32,6 +34,8 @@ DROP = 0.01
 """Height [m] above the table from which the cube is dropped (ibid.)."""
 LIFTED = 0.04
 """Success height [m] of the cube's centre above the table (ibid.)."""
+AROUND = 0.02
+"""Distance [m] of the tool from the cube's centre, below which it is around it."""
 REST = 0.021
 """Mean half size [m] of the cube; robosuite samples 2.0 to 2.2 cm (ibid.)."""
 
@@ -67,14 +71,21 @@ class Lift(Task):
         return Start(qpos)
 
     def measure(self, read: Measures) -> Measures:
-        """Add to_cube [N, 3] m, distance [N] m, height [N] m of the cube, grasped."""
+        """Add the cube's offset and distance from the tool, its height, its grasp.
+
+        to_cube [N, 3] m, distance [N] m, height [N] m above the table; grasped [N]
+        is robosuite's test, held [N] asks that the tool is around the cube, too.
+        """
         to_cube = read["cube_pos"] - read["eef_pos"]
+        distance = np.linalg.norm(to_cube, axis=1)
+        grasped = (read["left_touch"] > 0) & (read["right_touch"] > 0)
         return {
             **read,
             "to_cube": to_cube,
-            "distance": np.linalg.norm(to_cube, axis=1),
+            "distance": distance,
             "height": read["cube_pos"][:, 2] - TABLE[2],
-            "grasped": (read["left_touch"] > 0) & (read["right_touch"] > 0),
+            "grasped": grasped,
+            "held": grasped & (distance < AROUND),
         }
 
     def observe(self, m: Measures) -> dict[str, Array]:
@@ -99,8 +110,8 @@ class Lift(Task):
             }
         return {
             "reach": near(m["distance"], 0.2),
-            "grasp": m["grasped"].astype(float),
-            "lift": m["grasped"] * ramp(m["height"] - REST, 0.0, 0.05),
+            "grasp": m["held"] * ramp(m["gripper_closing"], -1.0, 1.0),
+            "lift": m["held"] * ramp(m["height"] - REST, 0.0, 0.05),
         }
 
     def success(self, m: Measures) -> Array:

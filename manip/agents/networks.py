@@ -5,6 +5,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from manip.errors import UserError
+
 MIN_LOG_STD, MAX_LOG_STD = -5.0, 2.0
 """Range of a state-dependent log standard deviation (SAC, common practice)."""
 
@@ -78,7 +80,11 @@ class Actor(nn.Module):
             the state. Otherwise PPO's: one standard deviation an action, and the
             action is clipped by the environment.
         normalise: keep a RunningNorm of the observations in front.
+        action_scale: [A] in (0, 1], the part of each action's range that is used;
+            all of it unless given. Small turns, say, keep exploration upright.
     """
+
+    action_scale: Tensor
 
     def __init__(
         self,
@@ -87,9 +93,16 @@ class Actor(nn.Module):
         hidden: Sequence[int],
         squash: bool,
         normalise: bool,
+        action_scale: Sequence[float] = (),
     ) -> None:
         super().__init__()
         self.squash = squash
+        scale = torch.tensor(action_scale or [1.0] * action_dim)
+        if scale.shape != (action_dim,):
+            raise UserError(
+                f"action_scale has {len(scale)} numbers, the action has {action_dim}"
+            )
+        self.register_buffer("action_scale", scale)
         self.norm = RunningNorm(observation_dim) if normalise else nn.Identity()
         activation = nn.ReLU if squash else nn.Tanh
         outputs = action_dim * (2 if squash else 1)
@@ -99,10 +112,11 @@ class Actor(nn.Module):
             self.log_std = nn.Parameter(torch.full((action_dim,), -0.5))
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and standard deviation of the Gaussian, before any tanh."""
+        """Mean and standard deviation: of the action, or of what tanh squashes."""
         out = self.body(self.norm(observation))
         if not self.squash:
-            return out, self.log_std.exp().expand_as(out)
+            std = self.action_scale * self.log_std.exp()
+            return self.action_scale * out, std.expand_as(out)
         loc, raw = out.chunk(2, -1)
         span = MAX_LOG_STD - MIN_LOG_STD
         return loc, (MIN_LOG_STD + span * (raw.tanh() + 1) / 2).exp()
@@ -110,4 +124,8 @@ class Actor(nn.Module):
     def decide(self, observation: Tensor) -> Tensor:
         """The deterministic action [..., A] in [-1, 1]."""
         loc, _ = self(observation)
-        return loc.tanh() if self.squash else loc.clamp(-1.0, 1.0)
+        return self.squashed(loc) if self.squash else loc.clamp(-1.0, 1.0)
+
+    def squashed(self, raw: Tensor) -> Tensor:
+        """The action [..., A] of a sample of SAC's Gaussian."""
+        return self.action_scale * raw.tanh()

@@ -79,9 +79,10 @@ def load_policy(folder: Path) -> Policy:
     if not (folder / CARD).is_file():
         raise UserError(f"{folder} holds no policy (no {CARD}): is it a run folder?")
     card = _card(folder / CARD)
-    actor = Actor(
-        card.observation_dim, card.action_dim, card.hidden, card.squash, card.normalise
-    )
+    try:
+        actor = _actor(card)
+    except (AttributeError, RuntimeError, TypeError, ValueError) as error:
+        raise UserError(f"{folder / CARD} describes no network: {error}") from error
     try:
         actor.load_state_dict(load_file(folder / WEIGHTS))
     except (SafetensorError, RuntimeError, FileNotFoundError) as error:
@@ -90,6 +91,12 @@ def load_policy(folder: Path) -> Policy:
             f"{folder / WEIGHTS} does not hold this policy: {reason}"
         ) from error
     return Policy(card, actor)
+
+
+def _actor(card: PolicyCard) -> Actor:
+    return Actor(
+        card.observation_dim, card.action_dim, card.hidden, card.squash, card.normalise
+    )
 
 
 def _card(path: Path) -> PolicyCard:

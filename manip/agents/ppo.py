@@ -59,6 +59,8 @@ class PPOConfig:
     """Widths of the critic's hidden layers."""
     normalise: bool = True
     """Normalise observations by running statistics, saved with the policy."""
+    action_scale: tuple[float, ...] = ()
+    """Part of each action's range that is used at first; all of it unless given."""
 
 
 class RolloutPolicy(TensorDictModuleBase):
@@ -92,6 +94,7 @@ class PPO(Agent):
             config.actor_hidden,
             squash=False,
             normalise=config.normalise,
+            action_scale=config.action_scale,
         )
         self._critic = _critic(config, spaces, self.actor.norm)
         self._loss = _loss(config, self.actor, self._critic)

@@ -1,12 +1,13 @@
 """Soft actor-critic (Haarnoja et al. 2018, arXiv 1812.05905), on TorchRL's SACLoss.
 
-    critic:      min (Q_i(s, a) - y)^2,  y = r + gamma (1 - terminated) V(s')
+    critic:      min (Q_i(s, a) - y)^2,
+                 y = r + gamma r' + ... + gamma^n (1 - terminated) V(s')
                  V(s') = min_i Q'_i(s', a') - alpha log pi(a' | s'),  a' ~ pi(. | s')
     actor:       min alpha log pi(a | s) - min_i Q_i(s, a),  a ~ pi(. | s)
     temperature: min -log(alpha) (log pi(a | s) + target entropy)
 
-Q' is the exponential average of Q. A time limit is no termination: y bootstraps
-through it.
+s' is n steps on; Q' is the exponential average of Q. A time limit is no termination:
+y bootstraps through it.
 """
 
 import math
@@ -23,17 +24,9 @@ from torchrl.objectives import SACLoss
 
 from manip.agents.agent import Agent, Spaces
 from manip.agents.networks import Actor, mlp
+from manip.agents.returns import n_step_transitions
 
 LOG_2PI = math.log(2 * math.pi)
-
-STORED = (
-    "observation",
-    "action",
-    ("next", "observation"),
-    ("next", "reward"),
-    ("next", "terminated"),
-    ("next", "done"),
-)
 
 
 @dataclass(frozen=True)
@@ -42,6 +35,10 @@ class SACConfig:
 
     gamma: float = 0.95
     """Discount a control step."""
+    n_step: int = 3
+    """Rewards that a critic's target sums up before it relies on the critics."""
+    rollout_length: int = 8
+    """Control steps of every world between two rounds of updates."""
     tau: float = 0.01
     """Share of the critics that goes into their targets at each update."""
     learning_rate: float = 5e-4
@@ -59,13 +56,15 @@ class SACConfig:
     initial_alpha: float = 0.1
     """Temperature at the start."""
     target_entropy: float = -3.5
-    """Entropy [nat] that the temperature aims at."""
+    """Entropy [nat] that the temperature aims at, of actions in [-1, 1]."""
     buffer_size: int = 400_000
     """Transitions that are kept."""
     random_steps: int = 4_000
     """Steps with uniform actions before learning starts."""
     normalise: bool = False
     """Normalise observations by running statistics, saved with the policy."""
+    action_scale: tuple[float, ...] = ()
+    """Part of each action's range that is used; all of it unless given."""
 
 
 class RolloutPolicy(TensorDictModuleBase):
@@ -84,8 +83,10 @@ class RolloutPolicy(TensorDictModuleBase):
         """Write `action` [N, A]."""
         loc, scale = self.actor(tensordict["observation"])
         if self.warming_up:
-            return tensordict.set("action", torch.rand_like(loc) * 2 - 1)
-        return tensordict.set("action", (loc + scale * torch.randn_like(loc)).tanh())
+            action = self.actor.action_scale * (torch.rand_like(loc) * 2 - 1)
+        else:
+            action = self.actor.squashed(loc + scale * torch.randn_like(loc))
+        return tensordict.set("action", action)
 
 
 class TwinSACLoss(SACLoss):
@@ -97,7 +98,7 @@ class TwinSACLoss(SACLoss):
 
     def qvalue_v2_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Both critics' squared error, summed over critics, averaged over the batch."""
-        target = self._target(batch["next"])
+        target = self._target(batch["next"], batch["discount"].squeeze(-1))
         params = self.qvalue_network_params
         value = self._values(params, batch["observation"], batch["action"])
         return (value - target).square().sum(0).mean(), {}
@@ -112,24 +113,25 @@ class TwinSACLoss(SACLoss):
         return loss, {"log_prob": log_prob.detach()}
 
     @torch.no_grad()
-    def _target(self, following: TensorDictBase) -> Tensor:
+    def _target(self, following: TensorDictBase, discount: Tensor) -> Tensor:
         observation = following["observation"]
         action, log_prob = self._sample(observation)
         target = self.target_qvalue_network_params
         value = self._values(target, observation, action).amin(0)
         future = value - self._alpha * log_prob
         alive = ~following["terminated"].squeeze(-1)
-        gamma = self.value_estimator.gamma
-        return following["reward"].squeeze(-1) + gamma * alive * future
+        return following["reward"].squeeze(-1) + discount * alive * future
 
     def _sample(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """A reparametrised tanh-Gaussian action and its log-probability."""
-        loc, scale = self.actor_network.module[0].module(observation)
+        actor = self.actor_network.module[0].module
+        loc, scale = actor(observation)
         noise = torch.randn_like(loc)
         raw = loc + scale * noise
         squash = 2 * (math.log(2) - raw - nn.functional.softplus(-2 * raw))
         log_prob = -0.5 * (noise.square() + LOG_2PI) - scale.log() - squash
-        return raw.tanh(), log_prob.sum(-1)
+        log_prob = log_prob - actor.action_scale.log()
+        return actor.squashed(raw), log_prob.sum(-1)
 
     def _values(
         self, params: TensorDictBase, observation: Tensor, action: Tensor
@@ -157,16 +159,16 @@ def _apply(layer: nn.Module, x: Tensor, params: Any) -> Tensor:
 class SAC(Agent):
     """SAC on TorchRL; see the module's docstring."""
 
-    rollout_length = 1
-
     def __init__(self, config: SACConfig, spaces: Spaces) -> None:
         self.config = config
+        self.rollout_length = config.rollout_length
         self.actor = Actor(
             spaces.observation_dim,
             spaces.action_dim,
             config.actor_hidden,
             squash=True,
             normalise=config.normalise,
+            action_scale=config.action_scale,
         )
         self._loss = _loss(config, spaces, self.actor)
         self._policy = RolloutPolicy(self.actor)
@@ -191,16 +193,17 @@ class SAC(Agent):
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Store the rollout [N, T]; then as many updates as its steps call for."""
-        flat = batch.select(*STORED).reshape(-1)
+        config = self.config
+        flat = n_step_transitions(batch, config.n_step, config.gamma).reshape(-1)
         self._buffer.extend(flat)
         self._seen += len(flat)
-        if self._seen < self.config.random_steps:
+        if self._seen < config.random_steps:
             return {}
         self._policy.warming_up = False
-        self._owed += len(flat) * self.config.updates_per_step
+        self._owed += len(flat) * config.updates_per_step
         logged: dict[str, float] = {}
         count, self._owed = int(self._owed), self._owed % 1
-        size = self.config.batch_size
+        size = config.batch_size
         for batch in self._buffer.sample(count * size).split(size) if count else ():
             logged |= self._learn(batch)
         return logged
@@ -228,7 +231,7 @@ class SAC(Agent):
         if state["buffer"]:
             stored = TensorDict(state["buffer"])
             stored.batch_size = stored["action"].shape[:1]
-            self._buffer.extend(stored.select(*STORED))
+            self._buffer.extend(stored)
         self._buffer.writer._cursor = state["cursor"]
         self._seen, self._owed = state["seen"], state["owed"]
         self._updates = state["updates"]
@@ -267,6 +270,7 @@ def _loss(config: SACConfig, spaces: Spaces, actor: Actor) -> SACLoss:
         TensorDictModule(actor, ["observation"], ["loc", "scale"]),
         in_keys=["loc", "scale"],
         distribution_class=TanhNormal,
+        distribution_kwargs={"low": -actor.action_scale, "high": actor.action_scale},
         return_log_prob=True,
     )
     inputs = spaces.observation_dim + spaces.action_dim
@@ -281,7 +285,7 @@ def _loss(config: SACConfig, spaces: Spaces, actor: Actor) -> SACLoss:
         critics,
         loss_function="l2",
         alpha_init=config.initial_alpha,
-        target_entropy=config.target_entropy,
+        target_entropy=config.target_entropy + actor.action_scale.log().sum().item(),
     )
     loss.make_value_estimator(gamma=config.gamma)
     return loss

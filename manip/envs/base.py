@@ -101,7 +101,8 @@ class TaskEnv(EnvBase):
             worlds = np.flatnonzero(tensordict["_reset"].numpy())
         self.episode[worlds] += 1
         self.elapsed[worlds] = 0
-        self._start_episodes(worlds)
+        if len(worlds):
+            self._start_episodes(worlds)
         return self.look()
 
     def look(self) -> TensorDictBase:

@@ -62,5 +62,7 @@ class StockEnv(TaskEnv):
             self._reader = stock_reader(self.stock, self.task.sensors)
 
     def _move(self, action: Array) -> Array:
-        self.stock.step(action[0].astype(np.float64))
-        return np.zeros(1, bool)
+        broken = np.isnan(action).any(axis=1)
+        if not broken[0]:
+            self.stock.step(action[0].astype(np.float64))
+        return broken

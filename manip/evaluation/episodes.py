@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -61,6 +62,20 @@ class EpisodeTracker:
             self._forget(world)
         return episodes
 
+    def save_state(self) -> dict[str, Any]:
+        """What is known of the episodes under way."""
+        counters = [counter.clone() for counter in self._counters()]
+        return {"counters": counters, "stages": self._stages}
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Put back what `save_state` gave."""
+        for counter, saved in zip(self._counters(), state["counters"], strict=True):
+            counter.copy_(saved)
+        self._stages = state["stages"]
+
+    def _counters(self) -> tuple[Tensor, ...]:
+        return self._steps, self._reward, self._streak, self._first
+
     def _episode(self, world: int) -> Episode:
         assert self._stages is not None
         first, streak = int(self._first[world]), int(self._streak[world])
@@ -76,7 +91,7 @@ class EpisodeTracker:
         )
 
     def _forget(self, world: int) -> None:
-        for counter in (self._steps, self._reward, self._streak, self._first):
+        for counter in self._counters():
             counter[world] = 0
         if self._stages is not None:
             self._stages = self._stages.clone()

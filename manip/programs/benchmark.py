@@ -18,11 +18,12 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from manip.cpus import usable_cpus
 from manip.envs.native import NativeEnv
 from manip.envs.registry import load_task
 from manip.files import write_text
 from manip.programs import cli
-from manip.sim.engine import BatchEngine, usable_cpus
+from manip.sim.engine import BatchEngine
 from manip.sim.model import Scene, load_scene
 from manip.versions import versions
 

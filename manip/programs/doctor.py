@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from manip.cpus import usable_cpus
 from manip.programs import cli
 from manip.sim.gl import INSTALL_HINT, find_backend
 
@@ -173,13 +174,6 @@ CHECKS: tuple[Callable[[], Check], ...] = (
     check_cpus,
     check_numba_cache,
 )
-
-
-def usable_cpus() -> int:
-    """Return the cores this process may run on, where the system tells."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _try(code: str) -> tuple[bool, str]:

@@ -121,7 +121,7 @@ def pose_error(
     """Desired force [3] and torque [3]: kp * error - kd * velocity, into out [6].
 
     The rotation error is 0.5 * sum_k R[:, k] x R*[:, k] = sin(angle) * axis;
-    `velocity` [6] is the tool's, less the base site's linear one.
+    `velocity` [6] is the tool's, less the base site's.
     """
     target = base @ goal_r
     for i in range(3):

@@ -7,7 +7,6 @@ belong to the state before the last integration.
 """
 
 import itertools
-import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip.cpus import usable_cpus
 from manip.errors import UserError
 from manip.sim.handles import Slot, with_joints
 from manip.sim.model import Scene
@@ -35,13 +35,6 @@ class Snapshot:
     readings: Array
 
 
-def usable_cpus() -> int:
-    """CPUs this process may run on (its affinity mask where the system has one)."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 class BatchEngine:
     """N worlds of a scene.
 
@@ -55,8 +48,8 @@ class BatchEngine:
 
     Attributes:
         states: [N, S] float64, the rows described above.
-        broken: [N] bool, worlds that became non-finite in the last step; they keep
-            the state and readings from before it.
+        broken: [N] bool, worlds that became non-finite in the last step, or whose
+            action was NaN; they keep the state and readings from before it.
         broken_count: how many worlds have broken so far.
     """
 
@@ -135,7 +128,8 @@ class BatchEngine:
 
         Always present: qpos, qvel, qacc; joint_pos, joint_vel [N, n]; gripper_qpos,
         gripper_qvel; eef_pos [N, 3] m and eef_mat [N, 9] of the grip site; hand_quat
-        [N, 4] wxyz of the hand body; gripper_command, start_pos [N, n]; and one entry
+        [N, 4] wxyz of the hand body; gripper_command,
+        gripper_closing [N], start_pos [N, n]; and one entry
         a field. Views change with the next step: copy what must stay.
         """
         named = dict(self._named)

@@ -143,8 +143,14 @@ def with_joints(handles: Handles, named: dict[str, Array]) -> dict[str, Array]:
     named["joint_vel"] = named["qvel"][:, handles.arm.dof]
     named["gripper_qpos"] = named["qpos"][:, handles.finger_qpos]
     named["gripper_qvel"] = named["qvel"][:, handles.finger_dof]
+    named["gripper_closing"] = _closing(handles.gripper, named["gripper_command"])
     named["rest_pos"] = handles.qpos[handles.arm.qpos][None]
     return named
+
+
+def _closing(gripper: Gripper, command: Array) -> Array:
+    """[N] in [-1, 1]: the command of all fingers in the direction that closes them."""
+    return (command * np.sign(gripper.speed)).mean(1)
 
 
 def lookup(model: mujoco.MjModel, kind: str, name: str) -> int:
@@ -270,6 +276,16 @@ def _body_slots(model: mujoco.MjModel, name: str, body: int) -> list[Slot]:
 
 def _field(model: mujoco.MjModel, name: str, array: str, target: str) -> Slot:
     kind = array.split("_")[0]
-    rows = getattr(model, array)
-    size = rows[0].size
+    known = [entry for entry in dir(model) if _holds_fields(model, entry)]
+    if array not in known:
+        raise unknown("model array", array, known)
+    size = getattr(model, array)[0].size
     return Slot(name, array, size * lookup(model, kind, target), size)
+
+
+def _holds_fields(model: mujoco.MjModel, array: str) -> bool:
+    """Whether it is an array of floats with a row for each body, geom or site."""
+    if not array.startswith(("body_", "geom_", "site_")):
+        return False
+    rows = getattr(model, array)
+    return rows.dtype == np.float64 and len(rows) > 0

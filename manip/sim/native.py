@@ -168,13 +168,12 @@ def _jacobian(sim: Sim, arm: Arm, work: Work, site: int) -> None:
 
 @jit
 def _tool_velocity(sim: Sim, arm: Arm, work: Work) -> None:
-    """Tool velocity less the linear velocity of the base site, into work.velocity."""
+    """Tool velocity less that of the base site, into work.velocity."""
     _jacobian(sim, arm, work, arm.base)
     for i in range(6):
         work.velocity[i] = 0.0
         for k in range(len(arm.dof)):
-            if i < 3:
-                work.velocity[i] -= work.jac[i, k] * sim.qvel[arm.dof[k]]
+            work.velocity[i] -= work.jac[i, k] * sim.qvel[arm.dof[k]]
     _jacobian(sim, arm, work, arm.tool)
     for i in range(6):
         for k in range(len(arm.dof)):
@@ -241,6 +240,9 @@ def _advance(
     command: Array,
 ) -> bool:
     """One control period of the loaded world; False if it became non-finite."""
+    for x in action:
+        if np.isnan(x):  # the clips would make it -1: full speed
+            return False
     for substep in range(plan.substeps):
         mj_step1(sim.model, sim.data)
         if substep == 0:
@@ -292,6 +294,7 @@ def refresh_worlds(
     sim: Sim, plan: Plan, fields_at: int, states: Array, readings: Array, worlds: Array
 ) -> None:
     """`mj_forward` on the given worlds, as robosuite does at the end of a reset."""
+    sim.ctrl[:] = 0.0
     for w in worlds:
         _load(sim, plan, fields_at, states[w])
         mj_forward(sim.model, sim.data)

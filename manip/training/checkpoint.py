@@ -39,8 +39,9 @@ def load_checkpoint(path: Path, agent: Agent, env: NativeEnv) -> dict[str, Any]:
         UserError: no checkpoint, a damaged one, or one of other networks or worlds.
     """
     tree = load_tree(path)
-    if tree.get("format") != FORMAT:
-        raise UserError(f"{path} has format {tree.get('format')}, not {FORMAT}")
+    found = tree.get("format") if isinstance(tree, dict) else None
+    if found != FORMAT:
+        raise UserError(f"{path} has format {found}, not {FORMAT}")
     try:
         for name, module in agent.modules().items():
             module.load_state_dict(tree["modules"][name])
@@ -48,9 +49,9 @@ def load_checkpoint(path: Path, agent: Agent, env: NativeEnv) -> dict[str, Any]:
             optimiser.load_state_dict(tree["optimisers"][name])
         agent.load_extra_state(tree["agent"])
         env.load_state(tree["env"])
-    except (KeyError, RuntimeError, ValueError) as error:
+        torch.set_rng_state(tree["torch_rng"])
+        progress: dict[str, Any] = tree["progress"]
+    except (KeyError, RuntimeError, TypeError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise UserError(f"{path} belongs to another configuration: {reason}") from error
-    torch.set_rng_state(tree["torch_rng"])
-    progress: dict[str, Any] = tree["progress"]
     return progress

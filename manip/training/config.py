@@ -118,10 +118,10 @@ def from_dict(values: dict[str, Any]) -> TrainConfig:
 
 
 def _build(cls: type[Any], values: dict[str, Any]) -> Any:
+    if not isinstance(values, dict):
+        raise UserError(f"options of {cls.__name__} must be a mapping, not {values!r}")
     known = get_type_hints(cls)
     for name in values:
         if name not in known:
             raise unknown(f"option of {cls.__name__}", name, known)
-    if not isinstance(values, dict):
-        raise UserError(f"options of {cls.__name__} must be a mapping, not {values!r}")
     return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})

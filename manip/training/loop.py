@@ -4,6 +4,7 @@ import signal
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -149,15 +150,27 @@ class Trainer:
             "env_steps": self.env_steps,
             "seconds": self.seconds,
             "best": list(self._best),
+            "learned": self._learned,
+            "recent": [asdict(episode) for episode in self._recent],
+            "tracker": self._tracker.save_state(),
         }
         save_checkpoint(self.latest, self.agent, self.env, progress)
 
     def _resume(self) -> None:
         progress = load_checkpoint(self.latest, self.agent, self.env)
-        self.env_steps = progress["env_steps"]
-        self.seconds = progress["seconds"]
-        self._best = tuple(progress["best"])
+        try:
+            self._take_up(progress)
+        except (KeyError, TypeError, ValueError) as error:
+            raise UserError(f"{self.latest} is damaged: {error!r}") from error
         self._rollout.state = self.env.look()
+
+    def _take_up(self, progress: dict[str, Any]) -> None:
+        self.env_steps = int(progress["env_steps"])
+        self.seconds = float(progress["seconds"])
+        self._best = tuple(progress["best"])
+        self._learned = progress["learned"]
+        self._recent.extend(Episode(**episode) for episode in progress["recent"])
+        self._tracker.load_state(progress["tracker"])
 
     def _write_config(self) -> None:
         text = yaml.safe_dump(to_dict(self.config) | {"versions": versions()})

@@ -36,13 +36,16 @@ class Reach(ManipulationEnv):
     def __init__(
         self,
         robots: str | list[str],
+        initialization_noise: Any = "default",
         reward_scale: float = 1.0,
         reward_shaping: bool = False,
         **options: Any,
     ) -> None:
         self.reward_scale = reward_scale
         self.reward_shaping = reward_shaping
-        super().__init__(robots=robots, **options)
+        super().__init__(
+            robots=robots, initialization_noise=initialization_noise, **options
+        )
 
     def reward(self, action: Array | None = None) -> float:
         """Reward of the current state; `action` is not used."""
