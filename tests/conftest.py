@@ -1,0 +1,59 @@
+"""Tasks and compiled scenes, each built once: a stock robosuite takes 2 s."""
+
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from manip.envs.registry import load_task
+from manip.envs.task import Task
+from manip.sim.model import Fidelity, Scene, build_scene
+from manip.sim.stock import make_stock
+
+torch.set_num_threads(1)
+
+SceneOf = Callable[..., Scene]
+
+
+@pytest.fixture(scope="session")
+def scene_of() -> SceneOf:
+    """The exact or fast scene of a task on a Panda, whose stock environment it shares.
+
+    Whoever steps or resets `scene.stock` leaves it as it lies: start with a reset.
+    """
+    stocks, scenes = {}, {}
+
+    def scene_of(
+        task: Task, controller: str = "OSC_POSE", fidelity: Fidelity = "exact"
+    ) -> Scene:
+        rig = task.robosuite_name, controller
+        key = type(task), *rig, fidelity
+        if rig not in stocks:
+            stocks[rig] = make_stock(rig[0], controller=controller, seed=3)
+        if key not in scenes:
+            scenes[key] = build_scene(
+                stocks[rig], task.sensors, control_freq=20, fidelity=fidelity
+            )
+        return scenes[key]
+
+    return scene_of
+
+
+@pytest.fixture(scope="session")
+def lift() -> Task:
+    return load_task("Lift")
+
+
+@pytest.fixture(scope="session")
+def reach() -> Task:
+    return load_task("Reach")
+
+
+@pytest.fixture(scope="session")
+def lift_scene(scene_of: SceneOf, lift: Task) -> Scene:
+    return scene_of(lift)
+
+
+@pytest.fixture(scope="session")
+def reach_scene(scene_of: SceneOf, reach: Task) -> Scene:
+    return scene_of(reach)

@@ -1,0 +1,207 @@
+"""The control laws' kernels against numpy, scipy and robosuite's own functions.
+
+The longer laws run as plain Python: how they compile, the parity tests show.
+"""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from robosuite.utils import transform_utils
+from robosuite.utils.control_utils import nullspace_torques, opspace_matrices
+from scipy.spatial.transform import Rotation
+
+from manip.sim.control import (
+    NULL_KP,
+    factor,
+    forward_solve,
+    joint_torque,
+    latch_pose_goal,
+    osc_torque,
+    pose_error,
+    rotation_from_vector,
+    solve,
+)
+from manip.sim.engine import _work
+from manip.sim.model import Scene
+
+Array = np.ndarray
+
+SCALE = np.array([0.05, 0.05, 0.05, 0.5, 0.5, 0.5])
+SEEDS = range(4)
+
+
+def positive_definite(rng: np.random.Generator, n: int) -> Array:
+    root = rng.normal(size=(n, n))
+    return root @ root.T + np.eye(n)
+
+
+def rotation(rng: np.random.Generator) -> Array:
+    return Rotation.random(rng=rng).as_matrix()
+
+
+# Linear algebra
+
+
+@pytest.mark.parametrize("n", [1, 3, 6, 7])
+def test_factor_is_cholesky(n: int) -> None:
+    a = positive_definite(np.random.default_rng(n), n)
+    ours = a.copy()
+    factor(ours, n)
+    np.testing.assert_allclose(np.tril(ours), np.linalg.cholesky(a), rtol=1e-12)
+    np.testing.assert_array_equal(np.triu(ours, 1), np.triu(a, 1))
+
+
+@pytest.mark.parametrize("n", [1, 3, 6, 7])
+def test_solve_inverts(n: int) -> None:
+    rng = np.random.default_rng(n)
+    a, b = positive_definite(rng, n), rng.normal(size=n)
+    lower = np.linalg.cholesky(a)
+    half, whole = b.copy(), b.copy()
+    forward_solve(lower, half, n)
+    solve(lower, whole, n)
+    np.testing.assert_allclose(lower @ half, b, rtol=1e-10)
+    np.testing.assert_allclose(whole, np.linalg.solve(a, b), rtol=1e-10)
+
+
+# Rotations
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("length", [1e-9, 1e-3, 0.5, 3.0])
+def test_rotations_are_robosuites(seed: int, length: float) -> None:
+    vector = np.random.default_rng(seed).normal(size=3)
+    vector *= length / np.linalg.norm(vector)
+    ours = np.zeros((3, 3))
+    rotation_from_vector(vector, ours)
+    theirs = transform_utils.quat2mat(transform_utils.axisangle2quat(vector))
+    exact = Rotation.from_rotvec(vector).as_matrix()
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=5e-7)
+    np.testing.assert_allclose(ours, exact, rtol=0, atol=1e-6)
+
+
+def test_no_turn_is_the_identity() -> None:
+    ours = np.zeros((3, 3))
+    rotation_from_vector(np.zeros(3), ours)
+    np.testing.assert_array_equal(ours, np.eye(3))
+
+
+# Goals and errors
+
+
+def latched(action: Array, p: Array, rot: Array, b: Array, base: Array):
+    goal_p, goal_r, turn = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
+    latch_pose_goal.py_func(action, SCALE, p, rot, b, base, goal_p, goal_r, turn)
+    return goal_p, goal_r
+
+
+def a_pose(seed: int) -> tuple[Array, Array, Array, Array]:
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=3), rotation(rng), rng.normal(size=3), rotation(rng)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_no_action_latches_where_the_tool_is(seed: int) -> None:
+    p, rot, b, base = a_pose(seed)
+    goal_p, goal_r = latched(np.zeros(6), p, rot, b, base)
+    np.testing.assert_allclose(b + base @ goal_p, p, atol=1e-12)
+    np.testing.assert_allclose(base @ goal_r, rot, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_actions_move_the_goal_in_the_base_frame(seed: int) -> None:
+    p, rot, b, base = a_pose(seed)
+    action = np.random.default_rng(seed).uniform(-1, 1, 6)
+    goal_p, goal_r = latched(action, p, rot, b, base)
+    moved = base.T @ (p - b) + 0.05 * action[:3]
+    turned = Rotation.from_rotvec(0.5 * action[3:]).as_matrix() @ base.T @ rot
+    np.testing.assert_allclose(goal_p, moved, atol=1e-12)
+    np.testing.assert_allclose(goal_r, turned, atol=1e-6)
+
+
+def test_goals_are_clipped() -> None:
+    pose = a_pose(0)
+    sign = np.array([1.0, -1, 1, -1, 1, -1])
+    for far, near in zip(latched(7 * sign, *pose), latched(sign, *pose), strict=True):
+        np.testing.assert_array_equal(far, near)
+
+
+def wrench(goal, pose, velocity: Array, kp: float = 150.0, kd: float = 24.0) -> Array:
+    out = np.zeros(6)
+    gains = SimpleNamespace(kp=kp, kd=kd)
+    pose_error.py_func(gains, *pose, *goal, velocity, out)
+    return out
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_at_the_goal_only_damping_acts(seed: int) -> None:
+    pose = a_pose(seed)
+    velocity = np.random.default_rng(seed).normal(size=6)
+    found = wrench(latched(np.zeros(6), *pose), pose, velocity)
+    np.testing.assert_allclose(found, -24.0 * velocity, atol=1e-10)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_away_from_the_goal_the_tool_is_pulled_to_it(seed: int) -> None:
+    pose = _, _, _, base = a_pose(seed)
+    action = np.random.default_rng(seed).uniform(-1, 1, 6)
+    found = wrench(latched(action, *pose), pose, np.zeros(6))
+    vector = base @ (0.5 * action[3:])
+    angle = np.linalg.norm(vector)
+    np.testing.assert_allclose(found[:3], 150 * base @ (0.05 * action[:3]), atol=1e-9)
+    np.testing.assert_allclose(
+        found[3:], 150 * np.sin(angle) * vector / angle, atol=1e-4
+    )
+
+
+# Torques
+
+
+def osc(mass: Array, jac: Array, wrench: Array, pull: Array, bias: Array) -> Array:
+    out = np.zeros(7)
+    osc_torque.py_func(mass, jac, wrench.copy(), pull, bias, _work(7, 7), out)
+    return out
+
+
+def an_arm(seed: int) -> tuple[Array, Array, np.random.Generator]:
+    rng = np.random.default_rng(seed)
+    return positive_definite(rng, 7), rng.normal(size=(6, 7)), rng
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_torques_are_robosuites(seed: int) -> None:
+    mass, jac, rng = an_arm(seed)
+    force, bias = rng.normal(size=6), rng.normal(size=7)
+    q0, q, qd = rng.normal(size=(3, 7))
+    _, linear, angular, null = opspace_matrices(mass, jac, jac[:3], jac[3:])
+    theirs = jac.T @ np.concatenate([linear @ force[:3], angular @ force[3:]]) + bias
+    theirs += nullspace_torques(mass, null, q0, q, qd)
+    pull = NULL_KP * (q0 - q) - 2 * np.sqrt(NULL_KP) * qd
+    np.testing.assert_allclose(osc(mass, jac, force, pull, bias), theirs, rtol=1e-8)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_null_space_does_not_move_the_tool(seed: int) -> None:
+    mass, jac, rng = an_arm(seed)
+    pull = rng.normal(size=7)
+    torque = osc(mass, jac, np.zeros(6), pull, np.zeros(7))
+    assert np.abs(torque).max() > 0.1
+    np.testing.assert_allclose(jac @ np.linalg.solve(mass, torque), 0, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_joint_torques_give_the_acceleration_asked(seed: int) -> None:
+    mass, _, rng = an_arm(seed)
+    acceleration, bias, out = *rng.normal(size=(2, 7)), np.zeros(7)
+    joint_torque.py_func(mass, acceleration, bias, out)
+    found = np.linalg.solve(mass, out - bias)
+    np.testing.assert_allclose(found, acceleration, rtol=1e-9)
+
+
+def test_gains_are_robosuites_defaults(lift_scene: Scene) -> None:
+    arm = lift_scene.handles.arm
+    assert (arm.osc, arm.kp) == (True, 150.0)
+    assert arm.kd == pytest.approx(2 * np.sqrt(150))
+    np.testing.assert_allclose(arm.scale, SCALE)
+    np.testing.assert_allclose(arm.high, [80] * 5 + [12] * 2)
+    np.testing.assert_allclose(arm.low, -arm.high)

@@ -1,0 +1,165 @@
+"""Imports point down, read off the sources: errors at the bottom, scripts on top."""
+
+import ast
+from collections.abc import Iterator
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+TOWER = (
+    {"errors"},
+    {"cpus", "files", "versions"},
+    {"rewards"},
+    {"sim"},
+    {"envs"},
+    {"agents", "evaluation"},
+    {"training"},
+    {"programs"},
+)
+"""Rooms of manip from the bottom up; those of a floor do not know each other."""
+
+APART = {("agents", "envs"), ("agents", "sim")}
+"""Imports that would point down, and still are not wanted."""
+
+HOME = {
+    "mujoco": ("manip/sim",),
+    "numba": ("manip/sim",),
+    "llvmlite": ("manip/sim",),
+    "robosuite": ("manip/sim/stock.py", "tasks/scenes"),
+    "dm_control": (),
+    "tyro": ("manip/programs",),
+}
+"""Library -> the only places that import it."""
+
+
+def sources(*folders: str) -> Iterator[Path]:
+    for folder in folders:
+        yield from sorted((ROOT / folder).rglob("*.py"))
+
+
+def module_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {module_of(path): path for path in sources("manip", "tasks", "scripts")}
+
+
+def imports(path: Path) -> set[str]:
+    """Modules that a file imports anywhere in it, by their full names."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            for alias in node.names:
+                inside = f"{node.module}.{alias.name}"
+                found.add(inside if inside in MODULES else str(node.module))
+    return found
+
+
+GRAPH = {name: imports(path) for name, path in MODULES.items()}
+
+
+def room(module: str) -> str:
+    """manip.sim.engine -> sim; tasks.lift -> tasks; the bare package -> manip."""
+    parts = module.split(".")
+    return parts[1] if parts[0] == "manip" and len(parts) > 1 else parts[0]
+
+
+def floor(name: str) -> int:
+    return next(level for level, rooms in enumerate(TOWER) if name in rooms)
+
+
+def crossings(package: str) -> Iterator[tuple[str, str]]:
+    """(module, imported) pairs inside manip that leave a room."""
+    for module, imported in GRAPH.items():
+        for name in imported:
+            both = module.startswith(f"{package}."), name.startswith(f"{package}.")
+            if all(both) and room(module) != room(name):
+                yield module, name
+
+
+def test_every_room_has_a_floor() -> None:
+    rooms = {room(name) for name in MODULES if name.startswith("manip.")}
+    assert rooms == set().union(*TOWER)
+
+
+def test_imports_point_down() -> None:
+    found = list(crossings("manip"))
+    upward = [
+        (module, name)
+        for module, name in found
+        if floor(room(module)) <= floor(room(name))
+    ]
+    assert len(found) > 20
+    assert upward == []
+
+
+def test_agents_know_no_environment() -> None:
+    found = crossings("manip")
+    assert [(a, b) for a, b in found if (room(a), room(b)) in APART] == []
+
+
+def test_manip_imports_no_task() -> None:
+    users = {module for module, names in GRAPH.items() if "tasks" in map(room, names)}
+    assert {room(module) for module in users} == {"tasks"}
+
+
+def test_tasks_see_no_learning() -> None:
+    allowed = {"tasks", "envs", "rewards", "sim", "errors"}
+    for module, names in GRAPH.items():
+        if room(module) == "tasks":
+            ours = {room(name) for name in names if name in MODULES}
+            assert ours <= allowed, module
+
+
+def test_scripts_only_start_programs() -> None:
+    for module, names in GRAPH.items():
+        if room(module) == "scripts":
+            ours = {room(name) for name in names if name in MODULES}
+            assert ours <= {"programs"}, module
+
+
+BENCHMARK = pytest.mark.xfail(
+    reason="manip benchmark times the bare physics of MuJoCo itself"
+)
+LIBRARIES = [
+    pytest.param(name, marks=BENCHMARK if name == "mujoco" else ()) for name in HOME
+]
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_libraries_stay_at_home(library: str) -> None:
+    for module, names in GRAPH.items():
+        if any(name.split(".")[0] == library for name in names):
+            place = MODULES[module].relative_to(ROOT).as_posix()
+            assert place.startswith(HOME[library]), place
+
+
+def reachable(start: str) -> set[str]:
+    found, left = set(), [start]
+    while left:
+        name = left.pop()
+        if name not in found:
+            found.add(name)
+            left += GRAPH.get(name, ())
+    return found
+
+
+@pytest.mark.parametrize("room_name", ["rewards", "agents"])
+def test_rewards_and_agents_never_reach_the_simulator(room_name: str) -> None:
+    start = [name for name in MODULES if room(name) == room_name]
+    libraries = {name.split(".")[0] for s in start for name in reachable(s)}
+    assert len(start) > 1
+    assert not libraries & {"mujoco", "numba", "robosuite", "tasks"}
+
+
+def test_there_is_no_cycle() -> None:
+    inside = {name: names & MODULES.keys() for name, names in GRAPH.items()}
+    order = list(TopologicalSorter(inside).static_order())
+    assert len(order) == len(MODULES)

@@ -1,0 +1,41 @@
+"""A world of the batch engine that starts where a stock environment stands."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from manip.envs.task import Task
+from manip.sim.engine import BatchEngine
+from manip.sim.reader import stock_reader
+from manip.sim.stock import reseed
+
+
+def start_twin(task: Task, engine: BatchEngine, worlds: Iterable[int], seed: int):
+    """Reset the engine's stock environment and put `worlds` where it starts."""
+    stock = engine.scene.stock
+    reseed(stock, seed)
+    found = stock.reset()
+    copy_start(task, engine, worlds)
+    return found
+
+
+def copy_start(task: Task, engine: BatchEngine, worlds: Iterable[int]) -> None:
+    """Put `worlds` at the start of the episode that the stock environment began."""
+    stock = engine.scene.stock
+    # Stock's first step after a reset would use the mass matrix of its construction
+    # (an effect below 1e-6 rad); the engine has no such lag.
+    for part in stock.robots[0].part_controllers.values():
+        part.new_update = True
+    read = stock_reader(stock, task.sensors)()
+    worlds = np.array(list(worlds))
+    rows = np.zeros(len(worlds), dtype=int)
+    fields = {name: read[name][rows] for name in task.sensors.fields}
+    engine.write(worlds, read["qpos"][rows], fields)
+
+
+def reading(engine: BatchEngine, world: int) -> dict[str, np.ndarray]:
+    """What a world reads now, kept as a batch of one."""
+    return {
+        name: values[world : world + 1].copy() if len(values) > 1 else values.copy()
+        for name, values in engine.read().items()
+    }
