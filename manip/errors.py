@@ -8,6 +8,17 @@ class UserError(ValueError):
     """A mistake in what was asked; programs print it as one line and exit with 2."""
 
 
+def at_least(least: int, name: str, value: object) -> None:
+    """Raise `UserError` unless the value is a whole number of at least `least`."""
+    if not isinstance(value, int) or value < least:
+        raise UserError(f"{name} must be at least {least}, not {value!r}")
+
+
+def one_line(error: Exception) -> str:
+    """The start of an error's message, without line breaks."""
+    return " ".join(str(error).split())[:200]
+
+
 def unknown(kind: str, asked: object, known: Iterable[str]) -> UserError:
     """Build the error for a name that does not exist, with the nearest one that does.
 

@@ -11,7 +11,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from manip.agents.networks import Actor
-from manip.errors import UserError
+from manip.errors import UserError, one_line
 from manip.files import replace_file, write_text
 
 FORMAT = 1
@@ -82,13 +82,14 @@ def load_policy(folder: Path) -> Policy:
     try:
         actor = _actor(card)
     except (AttributeError, RuntimeError, TypeError, ValueError) as error:
-        raise UserError(f"{folder / CARD} describes no network: {error}") from error
+        raise UserError(
+            f"{folder / CARD} describes no network: {one_line(error)}"
+        ) from error
     try:
         actor.load_state_dict(load_file(folder / WEIGHTS))
     except (SafetensorError, RuntimeError, FileNotFoundError) as error:
-        reason = str(error).splitlines()[0]
         raise UserError(
-            f"{folder / WEIGHTS} does not hold this policy: {reason}"
+            f"{folder / WEIGHTS} does not hold this policy: {one_line(error)}"
         ) from error
     return Policy(card, actor)
 

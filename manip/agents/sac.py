@@ -11,6 +11,7 @@ y bootstraps through it.
 """
 
 import math
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +26,9 @@ from torchrl.objectives import SACLoss
 from manip.agents.agent import Agent, Spaces
 from manip.agents.networks import Actor, mlp
 from manip.agents.returns import n_step_transitions
+
+# The targets are moved by one fused call in SAC._learn, not by torchrl's updater.
+warnings.filterwarnings("ignore", "No target network updater")
 
 LOG_2PI = math.log(2 * math.pi)
 

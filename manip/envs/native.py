@@ -1,5 +1,6 @@
 """A task on the batch engine: robosuite's MDP at native speed, N worlds at once."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy as np
 from manip.envs.base import TaskEnv
 from manip.envs.streams import EpisodeStreams
 from manip.envs.task import Measures, Task
+from manip.files import save_tree
 from manip.sim.engine import BatchEngine, Snapshot
 from manip.sim.model import Fidelity, Scene, load_scene
 
@@ -23,6 +25,8 @@ class NativeEnv(TaskEnv):
         stagger: begin the first episodes at random times, so that the worlds do not
             all end at once.
         scene: a compiled scene to share, instead of building one.
+        dumps: folder for the states of worlds that break, one file each (see
+            `manip.files.load_tree`); nothing is kept unless given.
         horizon, reward, seed: as in `TaskEnv`.
     """
 
@@ -41,12 +45,14 @@ class NativeEnv(TaskEnv):
         seed: int = 0,
         stagger: bool = False,
         scene: Scene | None = None,
+        dumps: Path | None = None,
     ) -> None:
         self.scene = scene or load_scene(
             task.robosuite_name, task.sensors, robot, controller, control_freq, fidelity
         )
         self.engine = BatchEngine(self.scene, num_worlds, threads)
         self._stagger = stagger
+        self._dumps = dumps
         action_dim = self.scene.handles.action_dim
         super().__init__(task, num_worlds, action_dim, horizon, reward, seed)
 
@@ -65,7 +71,26 @@ class NativeEnv(TaskEnv):
 
     def _move(self, action: np.ndarray) -> np.ndarray:
         self.engine.step(action)
+        if self._dumps:
+            for world in map(int, np.flatnonzero(self.engine.broken)):
+                self._dump(self._dumps, world, action[world])
         return self.engine.broken
+
+    def _dump(self, folder: Path, world: int, action: np.ndarray) -> None:
+        """Keep the state and the action from which a world broke."""
+        episode, step = int(self.episode[world]), int(self.elapsed[world])
+        fault = {
+            "task": self.task.name,
+            "seed": self.seed,
+            "world": world,
+            "episode": episode,
+            "step": step,
+            "state": self.engine.states[world],
+            "action": action,
+        }
+        save_tree(
+            folder / f"world{world}-episode{episode}-step{step}.safetensors", fault
+        )
 
     def save_state(self) -> dict[str, Any]:
         """Everything the coming steps depend on: worlds, clocks, episode counts."""

@@ -9,6 +9,7 @@ import numpy as np
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from numpy.typing import ArrayLike
 
 CURVES = {"eval/once": "ever", "eval/at_end": "at the end", "eval/held": "held"}
 
@@ -46,11 +47,11 @@ def plot_learning_curve(
 def _mark_time(axes: Axes, steps: np.ndarray, seconds: np.ndarray) -> None:
     """Wall time of training as a second axis along the top."""
 
-    def to_seconds(x: np.ndarray) -> np.ndarray:
-        return np.interp(x, np.r_[0, steps], np.r_[0, seconds])
+    def to_seconds(x: ArrayLike) -> np.ndarray:
+        return np.interp(np.asarray(x, float), np.r_[0, steps], np.r_[0, seconds])
 
-    def to_steps(x: np.ndarray) -> np.ndarray:
-        return np.interp(x, np.r_[0, seconds], np.r_[0, steps])
+    def to_steps(x: ArrayLike) -> np.ndarray:
+        return np.interp(np.asarray(x, float), np.r_[0, seconds], np.r_[0, steps])
 
     top = axes.secondary_xaxis("top", functions=(to_seconds, to_steps))
     top.set_xlabel("training time [s]")

@@ -2,13 +2,14 @@
 
 import contextlib
 import io
+import re
 import sys
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import tyro
 
-from manip.errors import UserError
+from manip.errors import UserError, one_line
 
 Options = TypeVar("Options")
 
@@ -31,13 +32,14 @@ def parse(
     said = io.StringIO()
     with contextlib.redirect_stderr(said):
         try:
-            return tyro.cli(
+            parsed = tyro.cli(
                 options,
                 args=list(arguments),
-                default=default,  # type: ignore[arg-type]
+                default=default,
                 prog=program,
                 config=(tyro.conf.AvoidSubcommands,),
             )
+            return cast(Options, parsed)
         except SystemExit as leaving:
             if leaving.code:
                 raise UserError(_one_line(said.getvalue())) from None
@@ -45,11 +47,14 @@ def parse(
 
 
 def run(program: Program, arguments: Sequence[str]) -> int:
-    """Run a program; a `UserError` is printed as one line and gives exit code 2."""
+    """Run a program; what the user or the system did wrong is one line, exit code 2."""
     try:
         return program(arguments)
     except UserError as error:
         print(f"manip: error: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"manip: error: {one_line(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("manip: interrupted", file=sys.stderr)
@@ -57,7 +62,8 @@ def run(program: Program, arguments: Sequence[str]) -> int:
 
 
 def _one_line(box: str) -> str:
-    """The message in tyro's box, without its frame, rules and repeated help."""
-    lines = [line.strip("│ ") for line in box.splitlines()]
-    words = [line for line in lines if line and line[0] not in "╭╰─"]
-    return " ".join(words).replace(" Argument helptext:", ";")
+    """The message in tyro's box, drawn or in plain ASCII, without title and rules."""
+    inside = "\n".join(line.strip("│╰╯ ") for line in box.splitlines()[1:])
+    parts = re.split("^[─-]{5,}$", inside, flags=re.MULTILINE)
+    sentences = [" ".join(part.split()) for part in parts if part.strip()]
+    return "; ".join(sentences).replace("Argument helptext: ", "")

@@ -11,7 +11,7 @@ from rich.progress import Progress
 
 from manip.agents.policy import Policy, load_policy
 from manip.envs.registry import load_task
-from manip.errors import UserError
+from manip.errors import at_least
 from manip.evaluation.episodes import Episode
 from manip.evaluation.evaluate import Where, native_episodes, stock_episodes, timed
 from manip.evaluation.report import Evaluation, summarise, table
@@ -57,8 +57,8 @@ def main(arguments: Sequence[str]) -> int:
 
 def evaluate(options: Evaluate) -> Evaluation:
     """Run the episodes and sum them up."""
-    if options.episodes < 1:
-        raise UserError(f"--episodes must be at least 1, not {options.episodes}")
+    at_least(1, "--episodes", options.episodes)
+    at_least(0, "--seed", options.seed)
     policy = load_policy(options.run)
     card = policy.card
     task = load_task(card.task)

@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 from manip.agents.policy import load_policy
 from manip.envs.native import NativeEnv
 from manip.envs.registry import load_task
-from manip.errors import UserError
+from manip.errors import at_least
 from manip.evaluation.episodes import run_episodes
 from manip.programs import cli
 from manip.sim.render import WORKSPACE, Caption, render_frames, save_animation
@@ -52,8 +52,10 @@ def main(arguments: Sequence[str]) -> int:
 
 def film(options: Render) -> None:
     """Run the episodes on the exact engine, then draw the recorded states."""
-    if options.episodes < 1:
-        raise UserError(f"--episodes must be at least 1, not {options.episodes}")
+    for name in ("episodes", "width", "height"):
+        at_least(1, f"--{name}", getattr(options, name))
+    at_least(1, "--steps", 1 if options.steps is None else options.steps)
+    at_least(0, "--seed", options.seed)
     policy = load_policy(options.run)
     card = policy.card
     env = NativeEnv(

@@ -1,5 +1,7 @@
 """`manip train`: train a policy from a tuned recipe."""
 
+import contextlib
+import io
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,9 +42,13 @@ def main(arguments: Sequence[str]) -> int:
 
 def _defaults(arguments: Sequence[str]) -> TrainConfig:
     """The recipe of the named task and algorithm, or the options of a run to resume."""
-    start, _ = tyro.cli(
-        _Start, args=list(arguments), return_unknown_args=True, add_help=False
-    )
+    with contextlib.redirect_stderr(io.StringIO()):
+        try:
+            start, _ = tyro.cli(
+                _Start, args=list(arguments), return_unknown_args=True, add_help=False
+            )
+        except SystemExit:
+            return TrainConfig()  # parsing all options says what is wrong
     if start.resume:
         return _recorded(start.out)
     if start.algo not in ALGORITHMS:

@@ -124,13 +124,15 @@ class BatchEngine:
         self._refresh(np.asarray(worlds))
 
     def read(self) -> dict[str, Array]:
-        """Named views [N, k] of the readings; see `Sensors` and `robot readings`.
+        """Named views [N, k] of the readings.
 
         Always present: qpos, qvel, qacc; joint_pos, joint_vel [N, n]; gripper_qpos,
         gripper_qvel; eef_pos [N, 3] m and eef_mat [N, 9] of the grip site; hand_quat
-        [N, 4] wxyz of the hand body; gripper_command,
-        gripper_closing [N], start_pos [N, n]; and one entry
-        a field. Views change with the next step: copy what must stay.
+        [N, 4] wxyz of the hand body; gripper_command, one number an actuator;
+        gripper_closing [N], 1 when told to close; start_pos [N, n], the arm at the
+        episode's start; rest_pos [1, n], its default pose; what the task's `Sensors`
+        name; and its model fields. Views change with the next step: copy what must
+        stay.
         """
         named = dict(self._named)
         for name, columns in _state_columns(self.scene).items():

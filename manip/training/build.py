@@ -29,6 +29,7 @@ def training_env(config: TrainConfig) -> NativeEnv:
         reward=config.reward,
         seed=config.seed,
         stagger=True,
+        dumps=config.folder / "dumps",
     )
 
 

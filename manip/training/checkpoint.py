@@ -7,7 +7,7 @@ import torch
 
 from manip.agents.agent import Agent
 from manip.envs.native import NativeEnv
-from manip.errors import UserError
+from manip.errors import UserError, one_line
 from manip.files import load_tree, save_tree
 
 FORMAT = 1
@@ -52,6 +52,7 @@ def load_checkpoint(path: Path, agent: Agent, env: NativeEnv) -> dict[str, Any]:
         torch.set_rng_state(tree["torch_rng"])
         progress: dict[str, Any] = tree["progress"]
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
-        reason = str(error).splitlines()[0]
-        raise UserError(f"{path} belongs to another configuration: {reason}") from error
+        raise UserError(
+            f"{path} belongs to another configuration: {one_line(error)}"
+        ) from error
     return progress

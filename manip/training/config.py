@@ -10,12 +10,20 @@ import yaml
 
 from manip.agents.ppo import PPOConfig
 from manip.agents.sac import SACConfig
-from manip.errors import UserError, unknown
+from manip.errors import UserError, at_least, unknown
 from manip.sim.model import Fidelity
 
 AgentConfig = SACConfig | PPOConfig
 ALGORITHMS: dict[str, type[AgentConfig]] = {"sac": SACConfig, "ppo": PPOConfig}
 """Algorithm name -> its options."""
+
+
+AT_LEAST_ONE = (
+    *("steps", "num_worlds", "horizon", "torch_threads", "eval_every", "eval_episodes"),
+    *("n_step", "batch_size", "buffer_size", "actor_delay"),
+    *("rollout_length", "epochs", "minibatches"),
+)
+"""Options that count something, of the run and of its algorithm."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +70,12 @@ class TrainConfig:
     """Log to this Weights & Biases project as well (needs the `wandb` extra)."""
     agent: AgentConfig = field(default_factory=SACConfig)
     """Options of the algorithm."""
+
+    def __post_init__(self) -> None:
+        for options in (self, self.agent):
+            for name in AT_LEAST_ONE:
+                at_least(1, name, getattr(options, name, 1))
+        at_least(0, "seed", self.seed)
 
     @property
     def folder(self) -> Path:
