@@ -125,15 +125,7 @@ def test_scripts_only_start_programs() -> None:
             assert ours <= {"programs"}, module
 
 
-BENCHMARK = pytest.mark.xfail(
-    reason="manip benchmark times the bare physics of MuJoCo itself"
-)
-LIBRARIES = [
-    pytest.param(name, marks=BENCHMARK if name == "mujoco" else ()) for name in HOME
-]
-
-
-@pytest.mark.parametrize("library", LIBRARIES)
+@pytest.mark.parametrize("library", HOME)
 def test_libraries_stay_at_home(library: str) -> None:
     for module, names in GRAPH.items():
         if any(name.split(".")[0] == library for name in names):

@@ -195,17 +195,9 @@ def test_the_goal_is_stocks(reach_trace: Trace) -> None:
         np.testing.assert_array_equal(at.read["goal_pos"][0], at.stock["goal_pos"])
 
 
-PADLESS = pytest.mark.xfail(
-    reason="robosuite's XArm7Gripper names finger pads that its model lacks"
-)
-ARMS = [
-    pytest.param(robot, marks=PADLESS if robot == "XArm7" else ()) for robot in ROBOTS
-]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("controller", CONTROLLERS)
-@pytest.mark.parametrize("robot", ARMS)
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_every_arm_lifts_as_in_stock(robot: str, controller: str, lift: Task) -> None:
     scene = load_scene("Lift", lift.sensors, robot, controller, seed=3)
     assert_follows_stock(lift, scene, steps=10)

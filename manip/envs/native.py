@@ -100,6 +100,7 @@ class NativeEnv(TaskEnv):
             "readings": snapshot.readings,
             "elapsed": self.elapsed.copy(),
             "episode": self.episode.copy(),
+            "broken_count": self.engine.broken_count,
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
@@ -111,3 +112,4 @@ class NativeEnv(TaskEnv):
         self.engine.restore(Snapshot(state["states"], state["readings"]))
         self.elapsed[:] = state["elapsed"]
         self.episode[:] = state["episode"]
+        self.engine.broken_count = state["broken_count"]

@@ -1,6 +1,7 @@
 """Tasks by name: entry points of installed packages, or `package.module:Task`."""
 
 import importlib
+import inspect
 from importlib.metadata import entry_points
 
 from manip.envs.task import Task
@@ -42,4 +43,7 @@ def _checked(name: str, cls: object) -> Task:
         raise UserError(
             f"task {name!r} must be a subclass of manip.envs.Task, not {cls!r}"
         )
+    if inspect.isabstract(cls):
+        missing = ", ".join(sorted(cls.__abstractmethods__))
+        raise UserError(f"task {name!r} does not define {missing}")
     return cls()

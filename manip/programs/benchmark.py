@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-import mujoco
 import numpy as np
 import torch
 import tyro
@@ -23,6 +22,7 @@ from manip.envs.native import NativeEnv
 from manip.envs.registry import load_task
 from manip.files import write_text
 from manip.programs import cli
+from manip.sim.bare import bare_physics
 from manip.sim.engine import BatchEngine
 from manip.sim.model import Scene, load_scene
 from manip.versions import versions
@@ -93,7 +93,7 @@ def _engine(options: Benchmark) -> Contest:
     every = f"engine, exact, {cpus} threads"
     contestants = {
         "stock robosuite": _stock(exact),
-        "bare physics, 1 thread": _physics(exact),
+        "bare physics, 1 thread": bare_physics(exact, steps=200),
         "engine, exact, 1 thread": _steps(exact, options.worlds, 1),
         every: _steps(exact, options.worlds, cpus),
         f"engine, fast, {cpus} threads": _steps(fast, options.worlds, cpus),
@@ -133,19 +133,6 @@ def _stock(scene: Scene, steps: int = 50) -> Round:
         env.reset()
         for _ in range(steps):
             env.step(rng.uniform(-1, 1, env.action_dim))
-        return steps
-
-    return go
-
-
-def _physics(scene: Scene, steps: int = 200) -> Round:
-    """mj_step from the start pose, held there by MuJoCo's own gravity terms only."""
-    data = mujoco.MjData(scene.physics)
-
-    def go() -> int:
-        mujoco.mj_resetData(scene.physics, data)
-        data.qpos[:] = scene.handles.qpos
-        mujoco.mj_step(scene.physics, data, nstep=steps * scene.substeps)
         return steps
 
     return go

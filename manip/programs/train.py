@@ -15,6 +15,7 @@ from manip.errors import UserError, unknown
 from manip.programs import cli
 from manip.sim.stock import ROBOTS, check_choice
 from manip.training.config import ALGORITHMS, TrainConfig, from_dict, recipe
+from manip.training.loop import Trainer
 
 
 @dataclass(frozen=True)
@@ -32,8 +33,6 @@ def main(arguments: Sequence[str]) -> int:
     config = cli.parse(TrainConfig, arguments, "manip train", _defaults(arguments))
     load_task(config.task)
     check_choice("robot", config.robot, ROBOTS)
-    from manip.training.loop import Trainer  # torch and numba load here, after checks
-
     finished = Trainer(config).run()
     if finished:
         print(f"trained policy: {config.folder / 'policy'}", file=sys.stderr)

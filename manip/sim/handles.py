@@ -35,6 +35,16 @@ class Sensors:
     fields: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
 
+_PADS = {
+    "XArm7Gripper": {
+        f"{side}_fingerpad": [f"gripper0_right_{side}_finger_pad_{i}" for i in (1, 2)]
+        for side in ("left", "right")
+    }
+}
+"""Finger pads by their real names, where robosuite 1.5.2 names geoms that its model
+lacks (models/grippers/xarm7_gripper.py); its own grasp test never fires there."""
+
+
 class Arm(NamedTuple):
     """The arm's indices and gains, as the compiled control laws need them.
 
@@ -170,7 +180,8 @@ def lookup(model: mujoco.MjModel, kind: str, name: str) -> int:
 
 
 def _side(stock: Any, name: str) -> Side:
-    groups = stock.robots[0].gripper["right"].important_geoms
+    hand = stock.robots[0].gripper["right"]
+    groups = hand.important_geoms | _PADS.get(type(hand).__name__, {})
     if name in groups:
         return Side(tuple(groups[name]), None)
     lookup(stock.sim.model._model, "body", name)
