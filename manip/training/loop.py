@@ -85,9 +85,9 @@ class Trainer:
             if self.env_steps >= due:
                 self._evaluate(progress)
             if self.env_steps >= due or time.monotonic() - saved > self._save_every:
-                self._save()
+                self._save(self.latest)
                 saved = time.monotonic()
-        self._save()
+        self._save(self.latest)
         if self.stopping:
             progress.say(
                 f"stopped and saved at step {self.env_steps:,}; continue with "
@@ -124,6 +124,7 @@ class Trainer:
         if (held, mean) > self._best:
             self._best = (held, mean)
             policy.save(self.folder / "policy")
+            self._save(self.folder / "checkpoints" / "best.safetensors")
 
     def _record(self, values: dict[str, float], progress: TrainingProgress) -> None:
         speed = progress.speed(self.env_steps)
@@ -146,7 +147,7 @@ class Trainer:
             },
         }
 
-    def _save(self) -> None:
+    def _save(self, path: Path) -> None:
         progress = {
             "env_steps": self.env_steps,
             "seconds": self.seconds,
@@ -155,7 +156,7 @@ class Trainer:
             "recent": [asdict(episode) for episode in self._recent],
             "tracker": self._tracker.save_state(),
         }
-        save_checkpoint(self.latest, self.agent, self.env, progress)
+        save_checkpoint(path, self.agent, self.env, progress)
 
     def _resume(self) -> None:
         progress = load_checkpoint(self.latest, self.agent, self.env)
