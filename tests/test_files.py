@@ -1,0 +1,141 @@
+"""Files: trees come back as they were; damage is told, and never runs code."""
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from sameness import assert_same
+
+from manip.errors import UserError
+from manip.files import load_tree, replace_file, save_tree, write_text
+
+TREE = {
+    "tensors": {"a": torch.arange(6.0).reshape(2, 3), "b": torch.tensor(True)},
+    "by number": {0: torch.ones(1), 17: {"exp_avg": torch.zeros(0, 4)}},
+    "arrays": [np.arange(3), np.array(2.5), np.ones((2, 0), np.float32)],
+    "lists": [[1, 2], [], [[torch.ones(2, dtype=torch.uint8)]]],
+    "empty": {},
+    "numbers": [0.1 + 0.2, 1 << 60, -float("inf"), True, None, "text"],
+    "a/b": torch.zeros(1),
+    "a": {"b": torch.ones(1)},
+    "view": torch.arange(12.0).reshape(3, 4).T[1:],
+}
+
+
+class Bomb:
+    """Would leave a file behind if it were unpickled."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (self.mark,)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "new" / "tree.safetensors"
+
+
+def test_a_tree_comes_back_as_it_was(path: Path) -> None:
+    save_tree(path, TREE)
+    assert_same(load_tree(path), TREE)
+
+
+def test_what_is_saved_shares_no_memory_and_is_not_changed(path: Path) -> None:
+    shared = torch.zeros(4)
+    save_tree(path, {"whole": shared, "part": shared[2:]})
+    found = load_tree(path)
+    found["whole"] += 1
+    assert not found["part"].any()
+    assert not shared.any()
+
+
+@pytest.mark.parametrize("tree", [{1: 0, "1": 0}, {True: 0}, {(1, 2): 0}])
+def test_keys_that_would_not_come_back_are_refused(tree, path: Path) -> None:
+    with pytest.raises(TypeError, match="keys must be all text or all integers"):
+        save_tree(path, tree)
+    assert not path.exists()
+
+
+def test_a_missing_file_is_named(path: Path) -> None:
+    with pytest.raises(UserError, match=f"there is no {path}"):
+        load_tree(path)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.9, 0.9999])
+def test_a_truncated_file_is_refused(path: Path, share: float) -> None:
+    save_tree(path, TREE)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(UserError, match="is damaged or not a manip file"):
+        load_tree(path)
+
+
+def test_a_flipped_bit_in_the_length_or_its_bracket_is_refused(path: Path) -> None:
+    save_tree(path, TREE)
+    whole = path.read_bytes()
+    for bit in range(9 * 8):
+        path.write_bytes(flipped(whole, bit))
+        with pytest.raises(UserError, match="is damaged or not a manip file"):
+            load_tree(path)
+
+
+def test_no_flipped_bit_of_the_header_escapes_as_another_error(path: Path) -> None:
+    save_tree(path, TREE)
+    whole = path.read_bytes()
+    end = 8 + int.from_bytes(whole[:8], "little")
+    refused = 0
+    for bit in range(0, 8 * end, 11):
+        path.write_bytes(flipped(whole, bit))
+        try:
+            load_tree(path)
+        except UserError:
+            refused += 1
+    assert refused > 0.8 * (8 * end / 11)
+
+
+def flipped(whole: bytes, bit: int) -> bytes:
+    damaged = bytearray(whole)
+    damaged[bit // 8] ^= 1 << (bit % 8)
+    return bytes(damaged)
+
+
+def test_a_pickle_is_refused_and_not_run(path: Path, tmp_path: Path) -> None:
+    mark = tmp_path / "exploded"
+    bomb = pickle.dumps(Bomb(mark))
+    pickle.loads(bomb)
+    assert mark.exists()
+    mark.unlink()
+    path.parent.mkdir()
+    for write in (path.write_bytes, lambda _: torch.save(Bomb(mark), path)):
+        write(bomb)
+        with pytest.raises(UserError, match="is damaged or not a manip file"):
+            load_tree(path)
+        assert not mark.exists()
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(path: Path) -> None:
+    write_text(path, "old")
+
+    def fails_half_way(temporary: Path) -> None:
+        temporary.write_text("ne")
+        raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        replace_file(path, fails_half_way)
+    with pytest.raises(TypeError, match="not JSON serializable"):
+        save_tree(path, {"a": torch.ones(3), "b": object()})
+    assert path.read_text() == "old"
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_write_is_whole_readable_by_all_and_leaves_nothing_else(path: Path) -> None:
+    for text in ("first", "second"):
+        write_text(path, text)
+        assert path.read_text() == text
+        assert path.stat().st_mode & 0o777 == 0o644
+        assert list(path.parent.iterdir()) == [path]

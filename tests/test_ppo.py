@@ -1,0 +1,190 @@
+"""PPO: advantages and objective by hand, epochs, log-probabilities, learning."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor, nn
+from torch.distributions import Normal
+from torchrl.modules import ValueOperator
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
+from toy import QUICK_PPO, Points, make_agent, mean_return, train
+
+from manip.agents.agent import Agent
+from manip.agents.ppo import PPOConfig, add_values
+from manip.training.rollout import Rollout
+
+
+def rollout_of(agent: Agent, length: int = 12) -> TensorDictBase:
+    """Worlds whose episodes end at different times, within the rollout."""
+    rollout = Rollout(Points([3, 5, 50, 50]), agent.policy())
+    return rollout.collect(length, watch=lambda _: None)
+
+
+def loss_of(agent: Agent) -> ClipPPOLoss:
+    loss = agent.modules()["loss"]
+    assert isinstance(loss, ClipPPOLoss)
+    return loss
+
+
+def three_steps(terminated: bool) -> TensorDict:
+    """One world with V(s) = s; its episode ends at the second of three steps."""
+    ended = torch.tensor([[[0], [1], [0]]], dtype=torch.bool)
+    after = {
+        "observation": torch.tensor([[[1.0], [4.0], [2.5]]]),
+        "reward": torch.tensor([[[1.0], [2.0], [3.0]]]),
+        "done": ended,
+        "terminated": ended & terminated,
+    }
+    start = torch.tensor([[[0.5], [1.0], [1.5]]])
+    return TensorDict({"observation": start, "next": TensorDict(after, [1, 3])}, [1, 3])
+
+
+@pytest.mark.parametrize(
+    ("terminated", "advantage"),
+    [
+        # d = [1 + .9 * 1 - .5, 2 + .9 * 4 - 1, 3 + .9 * 2.5 - 1.5]; A0 = d0 + .72 d1
+        (False, [1.4 + 0.72 * 4.6, 4.6, 3.75]),
+        # d1 = 2 - 1: nothing is expected after a termination
+        (True, [1.4 + 0.72 * 1.0, 1.0, 3.75]),
+    ],
+)
+def test_advantages_of_three_steps(terminated: bool, advantage: list[float]) -> None:
+    values = ValueOperator(nn.Identity(), in_keys=["observation"])
+    batch = add_values(three_steps(terminated), values)
+    GAE(gamma=0.9, lmbda=0.8, value_network=None)(batch)
+    expected = torch.tensor(advantage).view(1, 3, 1)
+    torch.testing.assert_close(batch["advantage"], expected)
+    torch.testing.assert_close(batch["value_target"], expected + batch["observation"])
+
+
+def advantage_by_hand(batch: TensorDictBase, gamma: float, decay: float) -> Tensor:
+    """A_t = d_t + gamma lambda A_t+1 within an episode, by loops."""
+    value, following = batch["state_value"], batch["next", "state_value"]
+    after, advantage = batch["next"], torch.zeros_like(value)
+    for world in range(value.shape[0]):
+        later = 0.0
+        for t in reversed(range(value.shape[1])):
+            alive = not after["terminated"][world, t]
+            future = gamma * alive * following[world, t]
+            delta = after["reward"][world, t] + future - value[world, t]
+            ended = bool(after["done"][world, t])
+            later = delta + (0.0 if ended else gamma * decay * later)
+            advantage[world, t] = later
+    return advantage
+
+
+def test_an_update_estimates_advantages_by_the_recursion() -> None:
+    agent = make_agent(QUICK_PPO, seed=0)
+    batch = rollout_of(agent)
+    batch["next", "terminated"][1] = batch["next", "done"][1]
+    assert batch["next", "done"].sum() == 4 + 2
+    agent.update(batch)
+    expected = advantage_by_hand(batch, QUICK_PPO.gamma, QUICK_PPO.gae_lambda)
+    torch.testing.assert_close(batch["advantage"], expected)
+    torch.testing.assert_close(batch["value_target"], expected + batch["state_value"])
+
+
+def test_every_step_is_followed_by_the_value_of_its_true_successor() -> None:
+    critic = ValueOperator(nn.Linear(1, 1), in_keys=["observation"])
+    batch = add_values(rollout_of(make_agent(QUICK_PPO, seed=0)), critic)
+    after = critic(batch["next"].select("observation"))["state_value"]
+    torch.testing.assert_close(batch["next", "state_value"], after.detach())
+
+
+def learnable(agent: Agent) -> TensorDictBase:
+    """A batch whose policy has moved since, some ratios beyond the clip range."""
+    batch = rollout_of(agent).reshape(-1)
+    draw = torch.Generator().manual_seed(0)
+    for name in ("advantage", "value_target"):
+        batch[name] = torch.randn(len(batch), 1, generator=draw)
+    for parameter in agent.actor.parameters():
+        parameter.data += 0.1 * torch.randn(parameter.shape, generator=draw)
+    return batch
+
+
+def test_losses_are_the_clipped_objective_and_the_squared_error() -> None:
+    agent = make_agent(replace(QUICK_PPO, clip=0.2), seed=0)
+    batch = learnable(agent)
+    distribution = Normal(*agent.actor(batch["observation"]))
+    log_prob = distribution.log_prob(batch["action"]).sum(-1)
+    ratio = (log_prob - batch["action_log_prob"]).exp()
+    assert ((ratio - 1).abs() > 0.2).any()
+    assert ((ratio - 1).abs() < 0.2).any()
+    advantage = batch["advantage"].squeeze(-1)
+    advantage = (advantage - advantage.mean()) / advantage.std()
+    gain = torch.minimum(ratio * advantage, ratio.clamp(0.8, 1.2) * advantage)
+    loss = loss_of(agent)
+    with loss.critic_network_params.to_module(loss.critic_network):
+        value = loss.critic_network(batch.clone())["state_value"]
+    error = (value - batch["value_target"]).square().mean()
+    entropy = distribution.entropy().sum(-1).mean()
+    found = loss(batch)
+    torch.testing.assert_close(found["loss_objective"], -gain.mean())
+    torch.testing.assert_close(found["loss_critic"], 0.5 * error)
+    torch.testing.assert_close(found["loss_entropy"], -0.002 * entropy)
+
+
+def test_rollout_log_probabilities_are_the_losss_also_after_updates() -> None:
+    agent = make_agent(QUICK_PPO, seed=0)
+    for _ in range(3):
+        batch = rollout_of(agent)
+        distribution = loss_of(agent).actor_network.get_dist(batch)
+        log_prob = distribution.log_prob(batch["action"])
+        torch.testing.assert_close(batch["action_log_prob"], log_prob.detach())
+        agent.update(batch)
+
+
+def steps_of(agent: Agent) -> int:
+    (optimiser,) = agent.optimisers().values()
+    (count,) = {int(state["step"]) for state in optimiser.state.values()}
+    return count
+
+
+@pytest.mark.parametrize(
+    ("target_kl", "epochs"), [(-float("inf"), 1), (float("inf"), 4)]
+)
+def test_a_far_moved_policy_ends_the_epochs(target_kl: float, epochs: int) -> None:
+    config = replace(QUICK_PPO, epochs=4, minibatches=3, target_kl=target_kl)
+    agent = make_agent(config, seed=0)
+    agent.update(rollout_of(agent))
+    assert steps_of(agent) == 3 * epochs
+
+
+def test_a_large_step_size_trips_the_default_target_kl() -> None:
+    config = replace(QUICK_PPO, epochs=20, minibatches=2, learning_rate=0.05)
+    agent = make_agent(config, seed=0)
+    agent.update(rollout_of(agent))
+    assert steps_of(agent) < 20 * 2
+    assert PPOConfig().target_kl == config.target_kl
+
+
+def test_observations_seen_set_the_norm_of_actor_and_critic() -> None:
+    agent = make_agent(QUICK_PPO, seed=0)
+    batches = [rollout_of(agent) for _ in range(2)]
+    for batch in batches:
+        agent.update(batch)
+    seen = torch.cat([batch["observation"].flatten() for batch in batches])
+    state = loss_of(agent).state_dict()
+    means = [value for name, value in state.items() if "norm.mean" in name]
+    assert means
+    for mean in (agent.actor.norm.mean, *means):
+        torch.testing.assert_close(mean, seen.mean().view(1))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_learns_to_go_to_the_goal(seed: int) -> None:
+    untrained = mean_return(make_agent(QUICK_PPO, seed))
+    assert untrained < 12
+    assert mean_return(train(QUICK_PPO, seed, steps=3200)) > 15.5
+
+
+def test_same_seed_gives_the_same_weights_bit_for_bit() -> None:
+    first, second, other = (
+        train(QUICK_PPO, seed, steps=960).modules()["loss"].state_dict()
+        for seed in (0, 0, 1)
+    )
+    assert all(torch.equal(first[name], second[name]) for name in first)
+    assert any(not torch.equal(first[name], other[name]) for name in first)
