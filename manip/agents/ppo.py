@@ -60,7 +60,7 @@ class PPOConfig:
     normalise: bool = True
     """Normalise observations by running statistics, saved with the policy."""
     action_scale: tuple[float, ...] = ()
-    """Part of each action's range that is used at first; all of it unless given."""
+    """Part of each OSC_POSE action's range used at first; all of it unless given."""
 
 
 class RolloutPolicy(TensorDictModuleBase):
@@ -140,14 +140,7 @@ class PPO(Agent):
         total.backward()
         nn.utils.clip_grad_norm_(self._params, self.config.max_gradient)
         self._optim.step()
-        names = (
-            "loss_objective",
-            "loss_critic",
-            "entropy",
-            "kl_approx",
-            "clip_fraction",
-        )
-        self._logged = {name: terms[name].item() for name in names}
+        self._logged = {name: terms[name].item() for name in LOGGED}
         return self._logged["kl_approx"]
 
 

@@ -65,10 +65,8 @@ class SACConfig:
     """Transitions that are kept."""
     random_steps: int = 4_000
     """Steps with uniform actions before learning starts."""
-    normalise: bool = False
-    """Normalise observations by running statistics, saved with the policy."""
     action_scale: tuple[float, ...] = ()
-    """Part of each action's range that is used; all of it unless given."""
+    """Part of each OSC_POSE action's range that is used; all of it unless given."""
 
 
 class RolloutPolicy(TensorDictModuleBase):
@@ -171,7 +169,7 @@ class SAC(Agent):
             spaces.action_dim,
             config.actor_hidden,
             squash=True,
-            normalise=config.normalise,
+            normalise=False,
             action_scale=config.action_scale,
         )
         self._loss = _loss(config, spaces, self.actor)

@@ -9,6 +9,7 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
+from manip.errors import UserError
 from manip.evaluation.plot import plot_learning_curve
 from manip.evaluation.report import Evaluation, table
 from manip.files import write_text
@@ -60,8 +61,21 @@ def _trainer(options: Demo) -> Trainer:
     config = replace(recipe("Lift", "sac"), seed=options.seed, out=options.out)
     if _unfinished(options.out, config.steps):
         return Trainer(replace(config, resume=True))
-    shutil.rmtree(options.out, ignore_errors=True)
+    _clear(options.out)
     return Trainer(config)
+
+
+def _clear(folder: Path) -> None:
+    """Delete an earlier demo, and nothing else.
+
+    Raises:
+        UserError: the folder holds something that is not a run.
+    """
+    if not folder.exists():
+        return
+    if any(folder.iterdir()) and not (folder / "config.yaml").is_file():
+        raise UserError(f"{folder} is not empty and holds no run: choose another --out")
+    shutil.rmtree(folder)
 
 
 def _unfinished(folder: Path, steps: int) -> bool:
@@ -70,7 +84,7 @@ def _unfinished(folder: Path, steps: int) -> bool:
     recorded = yaml.safe_load((folder / "config.yaml").read_text())
     rows = read_metrics(folder / "metrics.csv")
     done = int(rows[-1]["env_steps"]) if rows else 0
-    return bool(recorded["steps"] == steps and done < steps)
+    return bool(recorded.get("steps") == steps and done < steps)
 
 
 def _summary(folder: Path, trainer: Trainer, result: Evaluation) -> Table:

@@ -1,8 +1,11 @@
 """From options to the parts of a run."""
 
+from dataclasses import replace
+
 import torch
 
 from manip.agents.agent import Agent, Spaces
+from manip.agents.networks import RunningNorm
 from manip.agents.policy import Policy, PolicyCard
 from manip.agents.ppo import PPO, PPOConfig
 from manip.agents.sac import SAC
@@ -52,9 +55,12 @@ def build_agent(config: TrainConfig, env: NativeEnv) -> Agent:
     spaces = Spaces(
         env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]
     )
-    if isinstance(config.agent, PPOConfig):
-        return PPO(config.agent, spaces)
-    return SAC(config.agent, spaces)
+    options = config.agent
+    if config.controller != "OSC_POSE":
+        options = replace(options, action_scale=())
+    if isinstance(options, PPOConfig):
+        return PPO(options, spaces)
+    return SAC(options, spaces)
 
 
 def policy_of(agent: Agent, config: TrainConfig, env: NativeEnv, steps: int) -> Policy:
@@ -69,7 +75,7 @@ def policy_of(agent: Agent, config: TrainConfig, env: NativeEnv, steps: int) -> 
         layout={name: [part.start, part.stop] for name, part in env.layout.items()},
         hidden=list(config.agent.actor_hidden),
         squash=agent.actor.squash,
-        normalise=config.agent.normalise,
+        normalise=isinstance(agent.actor.norm, RunningNorm),
         env_steps=steps,
         seed=config.seed,
         versions=versions(),
