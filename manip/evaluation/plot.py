@@ -11,7 +11,12 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 
-CURVES = {"eval/once": "ever", "eval/at_end": "at the end", "eval/held": "held"}
+CURVES = {
+    "eval/once": ("ever", "-"),
+    "eval/held": ("held", "-"),
+    "eval/at_end": ("at the end", ":"),
+}
+"""Column of metrics.csv -> its name and line style in the picture."""
 
 
 def plot_learning_curve(
@@ -29,11 +34,11 @@ def plot_learning_curve(
     figure, (upper, lower) = plt.subplots(
         2, 1, figsize=(7, 6), sharex=True, height_ratios=(3, 2), layout="constrained"
     )
-    for name, label in CURVES.items():
-        upper.plot(steps, 100 * _column(rows, name), marker="o", ms=3, label=label)
+    for name, (label, style) in CURVES.items():
+        upper.plot(steps, 100 * _column(rows, name), style, marker="o", label=label)
     upper.set(ylabel="success [%]", ylim=(-3, 103))
     upper.legend(title="evaluation", loc="lower right")
-    lower.plot(steps, _column(rows, "eval/return"), color="black", marker="o", ms=3)
+    lower.plot(steps, _column(rows, "eval/return"), color="black", marker="o")
     lower.set(ylabel="mean return", xlabel="control steps [thousand]")
     _mark_time(upper, steps, _column(rows, "seconds"))
     for axes in (upper, lower):
