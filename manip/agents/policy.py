@@ -68,14 +68,15 @@ class Policy:
         write_text(folder / CARD, json.dumps(asdict(self.card), indent=2) + "\n")
 
 
-def load_policy(folder: Path) -> Policy:
+def load_policy(where: str | Path) -> Policy:
     """Read a policy from its folder, or from the run folder around it.
 
     Raises:
         UserError: nothing there, damaged, or written by an incompatible version.
     """
-    inside = folder / "policy"
-    folder = inside if (inside / CARD).is_file() else folder
+    folder = Path(where)
+    if (folder / "policy" / CARD).is_file():
+        folder = folder / "policy"
     if not (folder / CARD).is_file():
         raise UserError(f"{folder} holds no policy (no {CARD}): is it a run folder?")
     card = _card(folder / CARD)
