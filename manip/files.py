@@ -22,9 +22,12 @@ _TENSOR, _ARRAY, _INT_KEYS = "$tensor", "$array", "$int_keys"
 
 
 def replace_file(path: Path, write: Callable[[Path], object]) -> None:
-    """Have `write` fill a temporary file beside `path`, then put it in place."""
+    """Have `write` fill a temporary file beside `path`, then put it in place.
+
+    The temporary name is hidden and keeps the suffix, by which writers tell formats.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    handle, name = tempfile.mkstemp(path.suffix, f".{path.stem}.", path.parent)
     os.close(handle)
     temporary = Path(name)
     try:

@@ -3,9 +3,8 @@
 States are drawn after the fact, so nothing that simulates ever holds a GL context.
 """
 
-import os
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from copy import copy
 from dataclasses import dataclass
 from functools import cache
@@ -18,6 +17,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from manip.errors import UserError, unknown
+from manip.files import replace_file
 from manip.sim.gl import use_backend
 
 WORKSPACE = "workspace"
@@ -103,9 +103,8 @@ def save_animation(path: Path, frames: Iterable[np.ndarray], fps: float) -> None
     first = next(remaining, None)
     if first is None:
         raise UserError(f"no frames to write to {path}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with _replacing(path) as partial:
-        _WRITERS[path.suffix](partial, first, remaining, fps)
+    write = _WRITERS[path.suffix]
+    replace_file(path, lambda partial: write(partial, first, remaining, fps))
 
 
 def _view(model: mujoco.MjModel, camera: str) -> mujoco.MjvCamera:
@@ -189,17 +188,6 @@ def _draw_badge(canvas: ImageDraw.ImageDraw, caption: Caption, size: int) -> Non
 @cache
 def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size)
-
-
-@contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
-    """Give a hidden path beside `path` that takes its place once all went well."""
-    partial = path.with_name(f".{os.getpid()}-{path.name}")
-    try:
-        yield partial
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _write_mp4(
