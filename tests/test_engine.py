@@ -495,7 +495,7 @@ COMPILE = """
 import warnings
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
-    from manip.sim import compiled
+    from manip import compiled
 print(*(str(w.message) for w in caught))
 print(compiled.jit(lambda x: x + 1)(1))
 """

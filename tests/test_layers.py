@@ -11,7 +11,7 @@ ROOT = Path(__file__).parent.parent
 
 TOWER = (
     {"errors"},
-    {"cpus", "files", "versions"},
+    {"compiled", "cpus", "files", "versions"},
     {"rewards"},
     {"sim"},
     {"envs"},
@@ -26,7 +26,7 @@ APART = {("agents", "envs"), ("agents", "sim")}
 
 HOME = {
     "mujoco": ("manip/sim",),
-    "numba": ("manip/sim",),
+    "numba": ("manip/sim", "manip/compiled.py"),
     "llvmlite": ("manip/sim",),
     "robosuite": ("manip/sim/stock.py", "tasks/scenes"),
     "dm_control": (),

@@ -52,7 +52,7 @@ import torch, torchrl.envs, torchrl.objectives
 print(f"torch computes with {torch.get_num_threads()} threads")
 """
 _NUMBA_CACHE = """
-from manip.sim.compiled import cache_folder, cache_is_writable
+from manip.compiled import cache_folder, cache_is_writable
 print(cache_folder())
 assert cache_is_writable(), f"{cache_folder()} is not writable"
 """

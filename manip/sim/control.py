@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from manip.sim.compiled import jit
+from manip.compiled import jit
 
 Array = np.ndarray
 

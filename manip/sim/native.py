@@ -8,14 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from manip.sim.compiled import (
-    jit,
-    mj_forward,
-    mj_jac_site,
-    mj_step1,
-    mj_step2,
-    mju_copy,
-)
+from manip.compiled import jit
 from manip.sim.control import (
     NULL_KP,
     joint_torque,
@@ -24,6 +17,13 @@ from manip.sim.control import (
     pose_error,
 )
 from manip.sim.handles import Arm, Gripper
+from manip.sim.libmujoco import (
+    mj_forward,
+    mj_jac_site,
+    mj_step1,
+    mj_step2,
+    mju_copy,
+)
 
 Array = np.ndarray
 
