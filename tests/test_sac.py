@@ -10,10 +10,11 @@ from torch.distributions import Normal
 from torchrl.objectives import SACLoss
 from toy import QUICK_SAC, Points, make_agent, mean_return, train
 
-from manip.agents import sac
+from manip.agents import sac_gradients
 from manip.agents.agent import Agent, Spaces
 from manip.agents.returns import n_step_transitions
-from manip.agents.sac import SAC, SACConfig, TwinSACLoss
+from manip.agents.sac import SAC, SACConfig
+from manip.agents.sac_gradients import AutogradGradients, NativeGradients, rows_of
 from manip.training.rollout import Rollout
 
 SPACES = Spaces(observation_dim=5, action_dim=3)
@@ -42,7 +43,7 @@ def transitions(count: int = 8, seed: int = 0) -> TensorDict:
     before = {
         "observation": torch.randn(count, 5, generator=draw),
         "action": torch.rand(count, 3, generator=draw) * 2 - 1,
-        "discount": torch.full((count, 1), SMALL.gamma),
+        "steps_to_next_obs": torch.ones(count, 1),
     }
     return TensorDict({**before, "next": TensorDict(after, count)}, count)
 
@@ -65,46 +66,90 @@ def shake(module: nn.Module, seed: int = 1) -> None:
         parameter.data += 0.1 * torch.randn(parameter.shape, generator=draw)
 
 
-def twin_and_stock(monkeypatch: pytest.MonkeyPatch, config: SACConfig) -> list[SACLoss]:
-    twin = loss_of(agent_of(config))
-    monkeypatch.setattr(sac, "TwinSACLoss", SACLoss)
-    stock = loss_of(agent_of(config, seed=1))
-    shake(twin)
-    stock.load_state_dict(twin.state_dict())
-    return [twin, stock]
+def gradients_of(agent: SAC) -> sac_gradients.Gradients:
+    return agent._gradients
 
 
-def losses_of(loss: SACLoss, batch: TensorDict) -> dict[str, Tensor]:
+def found_by(agent: SAC, batch: TensorDict) -> tuple[list[Tensor], list[float]]:
+    """Gradients of critics and actor, and what else they tell."""
+    rows = rows_of(batch)
     torch.manual_seed(7)
-    critic, _ = loss.qvalue_v2_loss(batch.clone())
-    torch.manual_seed(8)
-    actor, found = loss.actor_loss(batch.clone())
-    alpha = loss.alpha_loss(found["log_prob"]).mean()
-    return {"critic": critic, "actor": actor, "alpha": alpha}
+    told = [gradients_of(agent).critic(rows), *gradients_of(agent).actor(rows)]
+    return [param.grad.clone() for param in agent._params[:2]], told
+
+
+def native_and_defined(
+    monkeypatch: pytest.MonkeyPatch, config: SACConfig
+) -> tuple[SAC, SAC]:
+    """Two agents of the same weights; the second falls back on autograd."""
+    native = agent_of(config)
+    monkeypatch.setattr(sac_gradients, "TOLERANCE", -1.0)
+    with pytest.warns(UserWarning, match="native SAC gradients differ"):
+        defined = agent_of(config, seed=1)
+    shake(loss_of(native))
+    loss_of(defined).load_state_dict(loss_of(native).state_dict())
+    return native, defined
 
 
 @pytest.mark.parametrize("scale", [(), (1.0, 0.5, 0.1)])
-def test_twin_loss_equals_torchrls_in_value_and_gradient(scale, monkeypatch) -> None:
-    config = replace(SMALL, action_scale=scale)
-    twin, stock = twin_and_stock(monkeypatch, config)
-    assert type(twin) is TwinSACLoss
-    assert type(stock) is SACLoss
-    assert any("LayerNorm" in str(layer) for layer in twin.qvalue_network.modules())
-    batch = transitions(64)
+@pytest.mark.parametrize("size", [64, 128, 200])
+@pytest.mark.parametrize("hidden", [(16,), (16, 24)])
+def test_native_gradients_are_those_of_torchrls_loss(
+    scale, size, hidden, monkeypatch
+) -> None:
+    config = replace(
+        SMALL,
+        action_scale=scale,
+        batch_size=size,
+        actor_hidden=hidden,
+        critic_hidden=hidden,
+    )
+    both = native_and_defined(monkeypatch, config)
+    assert isinstance(gradients_of(both[0]), NativeGradients)
+    assert isinstance(gradients_of(both[1]), AutogradGradients)
+    assert type(loss_of(both[0])) is SACLoss
+    batch = transitions(size)
     batch["next", "terminated"][::5] = True
-    batch["next", "done"][::3] = True
-    both = [losses_of(loss, batch) for loss in (twin, stock)]
-    for name, mine in both[0].items():
-        torch.testing.assert_close(mine, both[1][name], rtol=1e-6, atol=1e-6)
-    for losses in both:
-        sum(losses.values()).backward()
-    reference = dict(stock.named_parameters())
-    for name, parameter in twin.named_parameters():
-        expected = reference[name].grad
-        assert (parameter.grad is None) == (expected is None), name
-        if expected is not None:
-            assert expected.abs().max() > 0, name
-            torch.testing.assert_close(parameter.grad, expected, rtol=1e-5, atol=1e-6)
+    batch["steps_to_next_obs"][::3] = 3
+    (mine, told), (expected, defined) = [found_by(agent, batch) for agent in both]
+    assert told == pytest.approx(defined, rel=1e-5)
+    for gradient, reference in zip(mine, expected, strict=True):
+        assert reference.abs().max() > 0
+        torch.testing.assert_close(gradient, reference, rtol=1e-4, atol=2e-6)
+
+
+def test_extreme_outputs_of_the_actor_keep_gradients_finite_and_right(
+    monkeypatch,
+) -> None:
+    both = native_and_defined(monkeypatch, replace(SMALL, batch_size=64))
+    for agent in both:
+        agent.actor.body[-1].bias.data.copy_(torch.tensor([30, -30, 8, -9, 9, -40.0]))
+    (mine, _), (expected, _) = [found_by(agent, transitions(64)) for agent in both]
+    for gradient, reference in zip(mine, expected, strict=True):
+        assert gradient.isfinite().all()
+        torch.testing.assert_close(gradient, reference, rtol=1e-3, atol=1e-4)
+
+
+def test_threads_do_not_change_a_bit() -> None:
+    found = []
+    for threads in (1, 2, 3):
+        torch.manual_seed(0)
+        agent = SAC(replace(SMALL, batch_size=500), SPACES, threads)
+        found.append(found_by(agent, transitions(500)))
+    for gradients, told in found[1:]:
+        assert told == found[0][1]
+        assert all(map(torch.equal, gradients, found[0][0]))
+
+
+def test_an_agent_learns_alike_with_native_and_defined_gradients(monkeypatch) -> None:
+    both = native_and_defined(monkeypatch, replace(SMALL, batch_size=16))
+    for agent in both:
+        torch.manual_seed(0)
+        for seed in range(6):
+            agent.update(transitions(8, seed)[:, None])
+    mine, expected = [loss_of(agent).state_dict() for agent in both]
+    for name, value in mine.items():
+        torch.testing.assert_close(value, expected[name], rtol=1e-3, atol=1e-5)
 
 
 def critic_by_hand(params: TensorDict, x: Tensor) -> Tensor:
@@ -136,7 +181,7 @@ def sample_by_hand(agent: SAC, observation: Tensor) -> tuple[Tensor, Tensor]:
 @torch.no_grad()
 def target_by_hand(agent: SAC, batch: TensorDict) -> Tensor:
     """y = r + gamma (1 - terminated) (min_i Q'_i(s', a') - alpha log pi(a' | s'))."""
-    discount = batch["discount"].squeeze(-1)
+    discount = SMALL.gamma ** batch["steps_to_next_obs"].squeeze(-1)
     loss, after = loss_of(agent), batch["next"]
     action, log_prob = sample_by_hand(agent, after["observation"])
     x = torch.cat([after["observation"], action], -1)
@@ -281,13 +326,14 @@ def test_buffer_holds_the_true_successor_also_at_an_episodes_end() -> None:
     for _ in range(4):
         agent.update(rollout.collect(3, watch=lambda _: None))
     stored = agent.extra_state()["buffer"]
-    x, after = stored["observation"], stored["next"]
+    x, action, following, reward, steps, terminated = stored.T
     assert len(x) == 24
     assert (x == 0.5).sum() == 4 + 3
-    assert not after["terminated"].any()
-    expected = (x + 0.2 * stored["action"]).clamp(-1, 1)
-    torch.testing.assert_close(after["observation"], expected)
-    torch.testing.assert_close(after["reward"], 1 - expected.abs())
+    assert not terminated.any()
+    assert (steps == 1).all()
+    expected = (x + 0.2 * action).clamp(-1, 1)
+    torch.testing.assert_close(following, expected)
+    torch.testing.assert_close(reward, 1 - expected.abs())
 
 
 def n_steps_by_hand(batch: TensorDict, world: int, t: int, n: int, gamma: float):
@@ -312,19 +358,18 @@ def test_n_steps_end_with_the_episode_and_with_the_rollout(n: int) -> None:
             total, steps, last = n_steps_by_hand(batch, world, t, n, gamma=0.9)
             mine, end = found[world, t], batch["next"][world, last]
             assert mine["next", "reward"].item() == pytest.approx(total)
-            assert mine["discount"].item() == pytest.approx(0.9**steps)
+            assert mine["steps_to_next_obs"].item() == steps
             for key in ("observation", "terminated"):
                 assert torch.equal(mine["next", key], end[key])
             for key in ("observation", "action"):
                 assert torch.equal(mine[key], batch[world, t][key])
 
 
-def test_the_buffer_holds_transitions_of_n_steps_at_the_agents_discount() -> None:
+def test_the_buffer_holds_transitions_of_n_steps() -> None:
     config = replace(QUICK_SAC, random_steps=1_000, n_step=3, gamma=0.5)
     agent = make_agent(config, seed=0)
     agent.update(Rollout(Points([9]), agent.policy()).collect(8, lambda _: None))
-    discount = agent.extra_state()["buffer"]["discount"].flatten().tolist()
-    assert discount == [0.125] * 6 + [0.25, 0.5]
+    assert agent.extra_state()["buffer"][:, -2].tolist() == [3] * 6 + [2, 1]
 
 
 def test_a_full_buffer_forgets_the_oldest() -> None:
@@ -333,7 +378,7 @@ def test_a_full_buffer_forgets_the_oldest() -> None:
         batch = transitions(1)
         batch["next", "reward"][:] = step
         agent.update(batch[:, None])
-    rewards = agent.extra_state()["buffer"]["next"]["reward"].flatten().tolist()
+    rewards = agent.extra_state()["buffer"][:, -3].tolist()
     assert sorted(rewards) == list(range(4, 14))
 
 

@@ -295,8 +295,8 @@ def rewrite(path: Path, change: Callable[[Any], Any]) -> None:
     [
         (truncate, "is damaged or not a manip file"),
         (lambda path: path.write_bytes(b""), "is damaged or not a manip file"),
-        (lambda path: save_tree(path, [1]), "has format None, not 1"),
-        (partial(rewrite, change=lambda t: t.update(format=0)), "has format 0, not 1"),
+        (lambda path: save_tree(path, [1]), "has format None, not 2"),
+        (partial(rewrite, change=lambda t: t.update(format=0)), "has format 0, not 2"),
         (partial(rewrite, change=lambda t: t.pop("env")), "another configuration"),
         (partial(rewrite, change=lambda t: t.update(torch_rng=3)), "another config"),
         (partial(rewrite, change=lambda t: t["progress"].clear()), "is damaged"),

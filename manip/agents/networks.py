@@ -29,6 +29,12 @@ def mlp(
     return nn.Sequential(*layers, nn.Linear(inputs, outputs))
 
 
+def widths_of(network: nn.Module) -> list[int]:
+    """Widths of a network's input, hidden layers and output."""
+    linears = [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
+    return [linears[0].in_features, *(layer.out_features for layer in linears)]
+
+
 def orthogonal(network: nn.Module, gain: float, last_gain: float) -> None:
     """Orthogonal weights and zero biases: `gain` inside, `last_gain` at the end."""
     linears = [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
@@ -97,6 +103,7 @@ class Actor(nn.Module):
     ) -> None:
         super().__init__()
         self.squash = squash
+        self.observation_dim = observation_dim
         scale = torch.tensor(action_scale or [1.0] * action_dim)
         if scale.shape != (action_dim,):
             raise UserError(

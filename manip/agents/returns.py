@@ -8,9 +8,9 @@ def n_step_transitions(batch: TensorDictBase, n: int, gamma: float) -> TensorDic
     """Transitions of up to n steps out of a rollout [N, T], under the same keys.
 
     reward is r_t + gamma r_{t+1} + ... over the steps until n are taken, the episode
-    ends or the rollout does; `next` is what follows the last of them, and `discount`
-    [N, T, 1] (gamma to the number of steps) is what its value counts. Unlike
-    torchrl.data.MultiStep, `terminated` is that of the last step, too.
+    ends or the rollout does; `next` is what follows the last of them, and
+    `steps_to_next_obs` [N, T, 1] their number, as torchrl's value estimators know it.
+    Unlike in torchrl.data.MultiStep, `terminated` is that of the last step, too.
     """
     reward = batch["next", "reward"].clone()
     going = ~batch["next", "done"]
@@ -32,7 +32,7 @@ def n_step_transitions(batch: TensorDictBase, n: int, gamma: float) -> TensorDic
         {
             "observation": batch["observation"],
             "action": batch["action"],
-            "discount": (gamma**steps).unsqueeze(-1),
+            "steps_to_next_obs": steps.unsqueeze(-1),
             "next": TensorDict(following, batch.shape),
         },
         batch.shape,

@@ -10,8 +10,7 @@ s' is n steps on; Q' is the exponential average of Q. A time limit is no termina
 y bootstraps through it.
 """
 
-import math
-import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +18,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
+from torch.optim import Adam
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import SACLoss
@@ -26,11 +26,7 @@ from torchrl.objectives import SACLoss
 from manip.agents.agent import Agent, Spaces
 from manip.agents.networks import Actor, mlp
 from manip.agents.returns import n_step_transitions
-
-# The targets are moved by one fused call in SAC._learn, not by torchrl's updater.
-warnings.filterwarnings("ignore", "No target network updater")
-
-LOG_2PI = math.log(2 * math.pi)
+from manip.agents.sac_gradients import flatten_loss, rows_of, sac_gradients
 
 
 @dataclass(frozen=True)
@@ -91,77 +87,10 @@ class RolloutPolicy(TensorDictModuleBase):
         return tensordict.set("action", action)
 
 
-class TwinSACLoss(SACLoss):
-    """SACLoss on plain tensors: one batched matrix product a layer for both critics.
-
-    The same losses and gradients as SACLoss (tested), without what costs more than
-    the arithmetic of small networks: vmap, functional calls, tensordicts per module.
-    """
-
-    def qvalue_v2_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Both critics' squared error, summed over critics, averaged over the batch."""
-        target = self._target(batch["next"], batch["discount"].squeeze(-1))
-        params = self.qvalue_network_params
-        value = self._values(params, batch["observation"], batch["action"])
-        return (value - target).square().sum(0).mean(), {}
-
-    def actor_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """alpha log pi(a | s) - min_i Q_i(s, a); gradients reach the actor only."""
-        observation = batch["observation"]
-        action, log_prob = self._sample(observation)
-        frozen = self._cached_detached_qvalue_params
-        value = self._values(frozen, observation, action).amin(0)
-        loss = (self._alpha * log_prob - value).mean()
-        return loss, {"log_prob": log_prob.detach()}
-
-    @torch.no_grad()
-    def _target(self, following: TensorDictBase, discount: Tensor) -> Tensor:
-        observation = following["observation"]
-        action, log_prob = self._sample(observation)
-        target = self.target_qvalue_network_params
-        value = self._values(target, observation, action).amin(0)
-        future = value - self._alpha * log_prob
-        alive = ~following["terminated"].squeeze(-1)
-        return following["reward"].squeeze(-1) + discount * alive * future
-
-    def _sample(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """A reparametrised tanh-Gaussian action and its log-probability."""
-        actor = self.actor_network.module[0].module
-        loc, scale = actor(observation)
-        noise = torch.randn_like(loc)
-        raw = loc + scale * noise
-        squash = 2 * (math.log(2) - raw - nn.functional.softplus(-2 * raw))
-        log_prob = -0.5 * (noise.square() + LOG_2PI) - scale.log() - squash
-        log_prob = log_prob - actor.action_scale.log()
-        return actor.squashed(raw), log_prob.sum(-1)
-
-    def _values(
-        self, params: TensorDictBase, observation: Tensor, action: Tensor
-    ) -> Tensor:
-        """Q_i(s, a) of both critics, [2, B]."""
-        x = torch.cat([observation, action], -1).expand(2, -1, -1)
-        for name, layer in self.qvalue_network.module.named_children():
-            x = _apply(layer, x, params.get(("module", name), None))
-        return x.squeeze(-1)
-
-
-def _apply(layer: nn.Module, x: Tensor, params: Any) -> Tensor:
-    """One layer of both critics: x [2, B, in] -> [2, B, out]."""
-    if isinstance(layer, nn.Linear):
-        bias, weight = params.get("bias"), params.get("weight")
-        return torch.baddbmm(bias.unsqueeze(-2), x, weight.mT)
-    if isinstance(layer, nn.LayerNorm):
-        x = nn.functional.layer_norm(x, layer.normalized_shape, eps=layer.eps)
-        return torch.addcmul(
-            params.get("bias").unsqueeze(-2), x, params.get("weight").unsqueeze(-2)
-        )
-    return layer(x)
-
-
 class SAC(Agent):
     """SAC on TorchRL; see the module's docstring."""
 
-    def __init__(self, config: SACConfig, spaces: Spaces) -> None:
+    def __init__(self, config: SACConfig, spaces: Spaces, threads: int = 1) -> None:
         self.config = config
         self.rollout_length = config.rollout_length
         self.actor = Actor(
@@ -173,18 +102,22 @@ class SAC(Agent):
             action_scale=config.action_scale,
         )
         self._loss = _loss(config, spaces, self.actor)
+        self._params = flatten_loss(self._loss, self.actor)
+        self._gradients = sac_gradients(
+            self._loss,
+            self._params,
+            self.actor,
+            config.gamma,
+            config.batch_size,
+            threads,
+        )
         self._policy = RolloutPolicy(self.actor)
         self._buffer = TensorDictReplayBuffer(
             storage=LazyTensorStorage(config.buffer_size)
         )
         rate = config.learning_rate
-        self._critic_params = list(self._loss.qvalue_network_params.values(True, True))
-        self._target_params = list(
-            self._loss.target_qvalue_network_params.values(True, True)
-        )
-        self._critic_optim = torch.optim.Adam(self._critic_params, rate, fused=True)
-        actor_params = [*self.actor.parameters(), self._loss.log_alpha]
-        self._actor_optim = torch.optim.Adam(actor_params, rate, fused=True)
+        self._critic_optim = Adam([self._params.critics], rate, fused=True)
+        self._actor_optim = Adam([self._params.actor], rate, fused=True)
         self._seen = 0
         self._owed = 0.0
         self._updates = 0
@@ -197,7 +130,7 @@ class SAC(Agent):
         """Store the rollout [N, T]; then as many updates as its steps call for."""
         config = self.config
         flat = n_step_transitions(batch, config.n_step, config.gamma).reshape(-1)
-        self._buffer.extend(flat)
+        self._buffer.extend(TensorDict({"row": rows_of(flat)}, flat.batch_size))
         self._seen += len(flat)
         if self._seen < config.random_steps:
             return {}
@@ -205,9 +138,8 @@ class SAC(Agent):
         self._owed += len(flat) * config.updates_per_step
         logged: dict[str, float] = {}
         count, self._owed = int(self._owed), self._owed % 1
-        size = config.batch_size
-        for batch in self._buffer.sample(count * size).split(size) if count else ():
-            logged |= self._learn(batch)
+        for rows in self._sample(count):
+            logged |= self._learn(rows)
         return logged
 
     def modules(self) -> dict[str, nn.Module]:
@@ -221,7 +153,7 @@ class SAC(Agent):
     def extra_state(self) -> dict[str, Any]:
         """The buffer's transitions, oldest place first, and the counters."""
         return {
-            "buffer": self._buffer[:].to_dict() if len(self._buffer) else {},
+            "buffer": self._buffer[:]["row"] if len(self._buffer) else None,
             "cursor": self._buffer.writer._cursor,
             "seen": self._seen,
             "owed": self._owed,
@@ -230,41 +162,34 @@ class SAC(Agent):
 
     def load_extra_state(self, state: dict[str, Any]) -> None:
         """Refill the buffer in the same order."""
-        if state["buffer"]:
-            stored = TensorDict(state["buffer"])
-            stored.batch_size = stored["action"].shape[:1]
-            self._buffer.extend(stored)
+        rows = state["buffer"]
+        if rows is not None:
+            self._buffer.extend(TensorDict({"row": rows}, rows.shape[:1]))
         self._buffer.writer._cursor = state["cursor"]
         self._seen, self._owed = state["seen"], state["owed"]
         self._updates = state["updates"]
         self._policy.warming_up = self._seen < self.config.random_steps
 
-    def _learn(self, batch: TensorDictBase) -> dict[str, float]:
+    def _sample(self, batches: int) -> Sequence[Tensor]:
+        size = self.config.batch_size
+        if not batches:
+            return ()
+        return self._buffer.sample(batches * size)["row"].split(size)
+
+    def _learn(self, rows: Tensor) -> dict[str, float]:
         self._updates += 1
-        loss, _ = self._loss.qvalue_v2_loss(batch)
-        self._critic_optim.zero_grad()
-        loss.backward()
+        loss = self._gradients.critic(rows)
         self._critic_optim.step()
-        with torch.no_grad():
-            torch._foreach_lerp_(
-                self._target_params, self._critic_params, self.config.tau
-            )
+        self._params.targets.data.lerp_(self._params.critics.data, self.config.tau)
         if self._updates % self.config.actor_delay:
             return {}
-        return {"loss_critic": loss.item(), **self._improve(batch)}
+        return {"loss_critic": loss, **self._improve(rows)}
 
-    def _improve(self, batch: TensorDictBase) -> dict[str, float]:
-        loss, found = self._loss.actor_loss(batch)
-        log_prob = found["log_prob"]
-        loss_alpha = self._loss.alpha_loss(log_prob).mean()
-        self._actor_optim.zero_grad()
-        (loss + loss_alpha).backward()
+    def _improve(self, rows: Tensor) -> dict[str, float]:
+        loss, log_prob = self._gradients.actor(rows)
         self._actor_optim.step()
-        return {
-            "loss_actor": loss.item(),
-            "alpha": self._loss.log_alpha.exp().item(),
-            "entropy": -log_prob.mean().item(),
-        }
+        alpha = self._params.actor.data[-1].exp().item()
+        return {"loss_actor": loss, "alpha": alpha, "entropy": -log_prob}
 
 
 def _loss(config: SACConfig, spaces: Spaces, actor: Actor) -> SACLoss:
@@ -282,7 +207,7 @@ def _loss(config: SACConfig, spaces: Spaces, actor: Actor) -> SACLoss:
         )
         for _ in range(2)
     ]
-    loss = TwinSACLoss(
+    loss = SACLoss(
         stochastic,
         critics,
         loss_function="l2",

@@ -9,6 +9,7 @@ from manip.agents.networks import RunningNorm
 from manip.agents.policy import Policy, PolicyCard
 from manip.agents.ppo import PPO, PPOConfig
 from manip.agents.sac import SAC
+from manip.cpus import usable_cpus
 from manip.envs.native import NativeEnv
 from manip.envs.registry import load_task
 from manip.training.config import TrainConfig
@@ -60,7 +61,7 @@ def build_agent(config: TrainConfig, env: NativeEnv) -> Agent:
         options = replace(options, action_scale=())
     if isinstance(options, PPOConfig):
         return PPO(options, spaces)
-    return SAC(options, spaces)
+    return SAC(options, spaces, config.threads or usable_cpus())
 
 
 def policy_of(agent: Agent, config: TrainConfig, env: NativeEnv, steps: int) -> Policy:

@@ -10,7 +10,7 @@ from manip.envs.native import NativeEnv
 from manip.errors import UserError, one_line
 from manip.files import load_tree, save_tree
 
-FORMAT = 1
+FORMAT = 2
 """Version of the checkpoint file; raised when it changes incompatibly."""
 
 

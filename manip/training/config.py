@@ -19,7 +19,7 @@ ALGORITHMS: dict[str, type[AgentConfig]] = {"sac": SACConfig, "ppo": PPOConfig}
 
 
 AT_LEAST_ONE = (
-    *("steps", "num_worlds", "horizon", "torch_threads", "eval_every", "eval_episodes"),
+    *("steps", "num_worlds", "horizon", "eval_every", "eval_episodes"),
     *("n_step", "batch_size", "buffer_size", "actor_delay"),
     *("rollout_length", "epochs", "minibatches"),
 )
@@ -57,9 +57,7 @@ class TrainConfig:
     reward: Literal["shaped", "stock"] = "shaped"
     """Reward set: ours, or robosuite's own shaped reward."""
     threads: int | None = None
-    """Threads of the physics; the CPUs this process may use unless given."""
-    torch_threads: int = 1
-    """Threads of the learner's matrix products."""
+    """Threads of physics and learner; the CPUs this process may use unless given."""
     eval_every: int = 10_000
     """Control steps between evaluations."""
     eval_episodes: int = 32

@@ -43,7 +43,7 @@ class Trainer:
     """
 
     def __init__(self, config: TrainConfig) -> None:
-        torch.set_num_threads(config.torch_threads)
+        torch.set_num_threads(1)
         self.config = config
         self.folder = config.folder
         self.latest = self.folder / "checkpoints" / "latest.safetensors"

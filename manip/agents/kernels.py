@@ -1,0 +1,237 @@
+"""Native passes of small networks: forward, and backward to gradients.
+
+A network is a row of dense layers y = W x + b, each but the last followed by ReLU or
+by LayerNorm (Ba et al. 2016, arXiv 1607.06450) and ReLU. Its parameters lie in one flat
+float32 array, layer after layer: W [out, in], b [out], and LayerNorm's gain and shift
+[out]. What a forward pass leaves on its tape is what the backward pass needs. Matrix
+products are BLAS calls (numba takes SciPy's); the rest runs once over rows in cache.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from manip.compiled import fast_jit
+
+Array = np.ndarray
+
+EPSILON = np.float32(1e-5)
+"""Added to the variance (torch.nn.LayerNorm's default)."""
+
+
+class Layout(NamedTuple):
+    """Where a network's parts lie.
+
+    widths: [L + 1] of input, hidden layers and output; params_at, tape_at: [L] start of
+    each layer in the parameters and on the tape; normed: LayerNorm before each ReLU.
+    """
+
+    widths: Array
+    params_at: Array
+    tape_at: Array
+    normed: bool
+
+
+def layout_of(widths: Sequence[int], normed: bool, rows: int) -> Layout:
+    """The layout of a network with a tape for batches of up to `rows`."""
+    inputs, outputs = np.array(widths[:-1]), np.array(widths[1:])
+    extra = np.where(np.arange(len(outputs)) < len(outputs) - 1, 2 * normed, 0)
+    sizes = outputs * (inputs + 1 + extra)
+    tape = rows * (2 * outputs + 1)
+    return Layout(np.array(widths), _starts(sizes), _starts(tape), normed)
+
+
+def tape_size(layout: Layout, rows: int) -> int:
+    """Length of the tape for batches of up to `rows`."""
+    return int(rows * (2 * layout.widths[1:-1] + 1).sum())
+
+
+def _starts(sizes: Array) -> Array:
+    return np.concatenate([[0], np.cumsum(sizes)[:-1]])
+
+
+@fast_jit
+def _block(flat: Array, at: int, rows: int, columns: int) -> Array:
+    return flat[at : at + rows * columns].reshape(rows, columns)
+
+
+@fast_jit
+def forward(params: Array, layout: Layout, x: Array, tape: Array, out: Array) -> None:
+    """The network's output for x [B, in], into out [B, out]."""
+    rows, last = len(x), len(layout.widths) - 2
+    for k in range(last + 1):
+        inputs, width = layout.widths[k], layout.widths[k + 1]
+        at = layout.params_at[k]
+        weight = _block(params, at, width, inputs)
+        at += width * inputs
+        bias = params[at : at + width]
+        if k == last:
+            np.dot(x, weight.T, out)
+            _add_to_rows(out, bias)
+            return
+        to = layout.tape_at[k]
+        z = _block(tape, to, rows, width)
+        y = _block(tape, to + rows * width, rows, width)
+        deviation = tape[to + 2 * rows * width : to + 2 * rows * width + rows]
+        np.dot(x, weight.T, z)
+        if layout.normed:
+            gain = params[at + width : at + 2 * width]
+            shift = params[at + 2 * width : at + 3 * width]
+            _normalise(z, bias, gain, shift, deviation, y)
+        else:
+            _rectify(z, bias, y)
+        x = y
+
+
+@fast_jit
+def backward(
+    params: Array,
+    layout: Layout,
+    x: Array,
+    tape: Array,
+    d_out: Array,
+    scratch: Array,
+    grads: Array,
+) -> None:
+    """Gradients of sum(out * d_out) by the parameters, into `grads`.
+
+    x [B, in] and `tape` as `forward` left them; d_out [B, out]; scratch [2, S], each
+    row long enough for a hidden layer's batch.
+    """
+    d_z = d_out
+    for k in range(len(layout.widths) - 2, -1, -1):
+        inputs, width = layout.widths[k], layout.widths[k + 1]
+        at = layout.params_at[k]
+        below = x if k == 0 else _output(layout, tape, k - 1, len(x))
+        np.dot(d_z.T, below, _block(grads, at, width, inputs))
+        at += width * inputs
+        _sum_rows(d_z, grads[at : at + width])
+        if k > 0:
+            d_y = _down(params, layout, tape, k, d_z, scratch[k % 2])
+            if layout.normed:
+                _norm_gradients(layout, tape, k - 1, d_y, grads)
+                _through_norm(params, layout, tape, k - 1, d_y)
+            d_z = d_y
+
+
+@fast_jit
+def backward_to_input(
+    params: Array, layout: Layout, tape: Array, d_out: Array, scratch: Array, d_x: Array
+) -> None:
+    """Gradient of sum(out * d_out) by the input, into d_x [B, in]; see `backward`."""
+    d_z = d_out
+    for k in range(len(layout.widths) - 2, 0, -1):
+        d_y = _down(params, layout, tape, k, d_z, scratch[k % 2])
+        if layout.normed:
+            _through_norm(params, layout, tape, k - 1, d_y)
+        d_z = d_y
+    np.dot(d_z, _block(params, 0, layout.widths[1], layout.widths[0]), d_x)
+
+
+@fast_jit
+def _down(
+    params: Array, layout: Layout, tape: Array, k: int, d_z: Array, scratch: Array
+) -> Array:
+    """From layer k's sums down through the ReLU below it: [B, width]."""
+    width = layout.widths[k]
+    d_y = _block(scratch, 0, len(d_z), width)
+    np.dot(d_z, _block(params, layout.params_at[k], layout.widths[k + 1], width), d_y)
+    y = _output(layout, tape, k - 1, len(d_z))
+    for i in range(len(d_y)):
+        for j in range(width):
+            d_y[i, j] = d_y[i, j] if y[i, j] > 0 else np.float32(0)
+    return d_y
+
+
+@fast_jit
+def _output(layout: Layout, tape: Array, k: int, rows: int) -> Array:
+    width = layout.widths[k + 1]
+    return _block(tape, layout.tape_at[k] + rows * width, rows, width)
+
+
+@fast_jit
+def _add_to_rows(out: Array, bias: Array) -> None:
+    for i in range(len(out)):
+        for j in range(len(bias)):
+            out[i, j] += bias[j]
+
+
+@fast_jit
+def _sum_rows(values: Array, out: Array) -> None:
+    out[:] = 0
+    for i in range(len(values)):
+        for j in range(len(out)):
+            out[j] += values[i, j]
+
+
+@fast_jit
+def _rectify(z: Array, bias: Array, y: Array) -> None:
+    for i in range(len(z)):
+        for j in range(len(bias)):
+            y[i, j] = max(np.float32(0), z[i, j] + bias[j])
+
+
+@fast_jit
+def _normalise(
+    z: Array, bias: Array, gain: Array, shift: Array, deviation: Array, y: Array
+) -> None:
+    """z + bias becomes its normalised self; y = relu(gain * z + shift)."""
+    width = np.float32(len(bias))
+    for i in range(len(z)):
+        row, out = z[i], y[i]
+        total, squares = np.float32(0), np.float32(0)
+        for j in range(len(bias)):
+            row[j] += bias[j]
+            total += row[j]
+        mean = total / width
+        for j in range(len(bias)):
+            row[j] -= mean
+            squares += row[j] * row[j]
+        deviation[i] = np.sqrt(squares / width + EPSILON)
+        scale = np.float32(1) / deviation[i]
+        for j in range(len(bias)):
+            row[j] *= scale
+            out[j] = max(np.float32(0), row[j] * gain[j] + shift[j])
+
+
+@fast_jit
+def _norm_gradients(
+    layout: Layout, tape: Array, k: int, d_y: Array, grads: Array
+) -> None:
+    """Gradients of layer k's gain and shift, from those of their output d_y [B, w]."""
+    rows, width = d_y.shape
+    unit = _block(tape, layout.tape_at[k], rows, width)
+    at = layout.params_at[k] + width * (layout.widths[k] + 1)
+    d_gain, d_shift = grads[at : at + width], grads[at + width : at + 2 * width]
+    d_gain[:] = 0
+    d_shift[:] = 0
+    for i in range(rows):
+        for j in range(width):
+            d_gain[j] += d_y[i, j] * unit[i, j]
+            d_shift[j] += d_y[i, j]
+
+
+@fast_jit
+def _through_norm(params: Array, layout: Layout, tape: Array, k: int, d: Array) -> None:
+    """Back through layer k's LayerNorm, in place: d by its output becomes d by its sum.
+
+    With g = gain * d: (g - mean(g) - unit * mean(g * unit)) / deviation.
+    """
+    rows, width = d.shape
+    to = layout.tape_at[k]
+    unit = _block(tape, to, rows, width)
+    deviation = tape[to + 2 * rows * width : to + 2 * rows * width + rows]
+    at = layout.params_at[k] + width * (layout.widths[k] + 1)
+    gain = params[at : at + width]
+    for i in range(rows):
+        mean, along = np.float32(0), np.float32(0)
+        for j in range(width):
+            d[i, j] *= gain[j]
+            mean += d[i, j]
+            along += d[i, j] * unit[i, j]
+        mean /= np.float32(width)
+        along /= np.float32(width)
+        scale = np.float32(1) / deviation[i]
+        for j in range(width):
+            d[i, j] = (d[i, j] - mean - unit[i, j] * along) * scale
