@@ -33,14 +33,30 @@ _CACHE = cache_is_writable()
 if not _CACHE:
     warnings.warn(
         f"compiled code cannot be kept: {cache_folder()} is not writable. Every start "
-        "compiles anew (some 20 s); set NUMBA_CACHE_DIR to a writable folder.",
+        "compiles anew (some 10 s); set NUMBA_CACHE_DIR to a writable folder.",
         stacklevel=2,
     )
 
 
+_OPTIONS: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",  # x / 0 is inf or nan, without a branch to raise from
+    "no_cfunc_wrapper": True,
+}
+
+
 def jit(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile to native code that runs without the GIL, cached where possible."""
-    return numba.njit(nogil=True, cache=_CACHE)(function)
+    return numba.njit(function, cache=_CACHE, **_OPTIONS)
+
+
+def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile as a part of `jit` functions, which Python itself cannot call.
+
+    Unpacking arguments that come from Python takes as long to compile as the
+    function; `jit(kernel.py_func)` can be called.
+    """
+    return numba.njit(function, no_cpython_wrapper=True, **_OPTIONS)
 
 
 def fast_jit(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -49,6 +65,4 @@ def fast_jit(function: Callable[..., Any]) -> Callable[..., Any]:
     Infinities and NaN keep their meaning.
     """
     options = {"reassoc", "contract", "nsz", "arcp"}
-    return numba.njit(nogil=True, cache=_CACHE, fastmath=options, error_model="numpy")(
-        function
-    )
+    return numba.njit(function, cache=_CACHE, fastmath=options, **_OPTIONS)

@@ -1,9 +1,4 @@
-"""The control laws' kernels against numpy, scipy and robosuite's own functions.
-
-The longer laws run as plain Python: how they compile, the parity tests show.
-"""
-
-from types import SimpleNamespace
+"""The control laws against numpy, scipy and robosuite's own functions."""
 
 import numpy as np
 import pytest
@@ -11,22 +6,27 @@ from robosuite.utils import transform_utils
 from robosuite.utils.control_utils import nullspace_torques, opspace_matrices
 from scipy.spatial.transform import Rotation
 
-from manip.sim.control import (
-    NULL_KP,
-    factor,
-    forward_solve,
-    joint_torque,
-    latch_pose_goal,
-    osc_torque,
-    pose_error,
-    rotation_from_vector,
-    solve,
-)
-from manip.sim.engine import _work
+from manip.compiled import jit
+from manip.sim import control
+from manip.sim.control import NULL_KP, Work, new_work
 from manip.sim.model import Scene
 
 Array = np.ndarray
 
+factor, forward_solve, solve, multiply = (
+    jit(law.py_func)
+    for law in (control.factor, control.forward_solve, control.solve, control.multiply)
+)
+rotation_from_vector, latch_pose_goal, pose_error, osc_torque, joint_torque = (
+    jit(law.py_func)
+    for law in (
+        control.rotation_from_vector,
+        control.latch_pose_goal,
+        control.pose_error,
+        control.osc_torque,
+        control.joint_torque,
+    )
+)
 SCALE = np.array([0.05, 0.05, 0.05, 0.5, 0.5, 0.5])
 SEEDS = range(4)
 
@@ -47,7 +47,7 @@ def rotation(rng: np.random.Generator) -> Array:
 def test_factor_is_cholesky(n: int) -> None:
     a = positive_definite(np.random.default_rng(n), n)
     ours = a.copy()
-    factor(ours, n)
+    factor(ours)
     np.testing.assert_allclose(np.tril(ours), np.linalg.cholesky(a), rtol=1e-12)
     np.testing.assert_array_equal(np.triu(ours, 1), np.triu(a, 1))
 
@@ -58,10 +58,17 @@ def test_solve_inverts(n: int) -> None:
     a, b = positive_definite(rng, n), rng.normal(size=n)
     lower = np.linalg.cholesky(a)
     half, whole = b.copy(), b.copy()
-    forward_solve(lower, half, n)
-    solve(lower, whole, n)
+    forward_solve(lower, half)
+    solve(lower, whole)
     np.testing.assert_allclose(lower @ half, b, rtol=1e-10)
     np.testing.assert_allclose(whole, np.linalg.solve(a, b), rtol=1e-10)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_multiply_is_the_matrix_product(seed: int) -> None:
+    a, b, out = *np.random.default_rng(seed).normal(size=(2, 3, 3)), np.zeros((3, 3))
+    multiply(a.T, b, out)
+    np.testing.assert_allclose(out, a.T @ b, rtol=1e-12)
 
 
 # Rotations
@@ -89,10 +96,17 @@ def test_no_turn_is_the_identity() -> None:
 # Goals and errors
 
 
-def latched(action: Array, p: Array, rot: Array, b: Array, base: Array):
-    goal_p, goal_r, turn = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
-    latch_pose_goal.py_func(action, SCALE, p, rot, b, base, goal_p, goal_r, turn)
-    return goal_p, goal_r
+def placed(p: Array, rot: Array, b: Array, base: Array) -> Work:
+    """A tool at p, turned by rot; the base at b, turned by base."""
+    w = new_work(7)
+    w.tool_p[:], w.tool_r[:], w.base_p[:], w.base_r[:] = p, rot, b, base
+    return w
+
+
+def latched(action: Array, *pose: Array) -> tuple[Array, Array]:
+    w = placed(*pose)
+    latch_pose_goal(action, SCALE, w)
+    return w.goal_p, w.goal_r
 
 
 def a_pose(seed: int) -> tuple[Array, Array, Array, Array]:
@@ -127,10 +141,11 @@ def test_goals_are_clipped() -> None:
 
 
 def wrench(goal, pose, velocity: Array, kp: float = 150.0, kd: float = 24.0) -> Array:
-    out = np.zeros(6)
-    gains = SimpleNamespace(kp=kp, kd=kd)
-    pose_error.py_func(gains, *pose, *goal, velocity, out)
-    return out
+    w = placed(*pose)
+    w.goal_p[:], w.goal_r[:] = goal
+    w.velocity[:] = velocity
+    pose_error(kp, kd, w)
+    return np.concatenate([w.force, w.moment])
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -158,9 +173,11 @@ def test_away_from_the_goal_the_tool_is_pulled_to_it(seed: int) -> None:
 
 
 def osc(mass: Array, jac: Array, wrench: Array, pull: Array, bias: Array) -> Array:
-    out = np.zeros(7)
-    osc_torque.py_func(mass, jac, wrench.copy(), pull, bias, _work(7, 7), out)
-    return out
+    w = new_work(7)
+    w.mass[:], w.jac[:], w.pull[:], w.bias[:] = mass, jac, pull, bias
+    w.force[:], w.moment[:] = wrench[:3], wrench[3:]
+    osc_torque(w)
+    return w.torque
 
 
 def an_arm(seed: int) -> tuple[Array, Array, np.random.Generator]:
@@ -192,9 +209,11 @@ def test_the_null_space_does_not_move_the_tool(seed: int) -> None:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_joint_torques_give_the_acceleration_asked(seed: int) -> None:
     mass, _, rng = an_arm(seed)
-    acceleration, bias, out = *rng.normal(size=(2, 7)), np.zeros(7)
-    joint_torque.py_func(mass, acceleration, bias, out)
-    found = np.linalg.solve(mass, out - bias)
+    acceleration, bias = rng.normal(size=(2, 7))
+    w = new_work(7)
+    w.mass[:], w.pull[:], w.bias[:] = mass, acceleration, bias
+    joint_torque(w)
+    found = np.linalg.solve(mass, w.torque - bias)
     np.testing.assert_allclose(found, acceleration, rtol=1e-9)
 
 

@@ -1,8 +1,25 @@
-"""Environments: tasks as TorchRL, on the engine and in stock robosuite."""
+"""Environments: tasks as TorchRL, on the engine and in stock robosuite.
 
-from manip.envs.native import NativeEnv
+The environments load TorchRL, which takes seconds, when they are first asked for:
+whoever only steps the engine does not wait for it.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from manip.envs.registry import load_task, task_names
-from manip.envs.stock import StockEnv
 from manip.envs.task import Task
 
+if TYPE_CHECKING:
+    from manip.envs.native import NativeEnv
+    from manip.envs.stock import StockEnv
+
 __all__ = ["NativeEnv", "StockEnv", "Task", "load_task", "task_names"]
+
+_ENVIRONMENTS = {"NativeEnv": "manip.envs.native", "StockEnv": "manip.envs.stock"}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _ENVIRONMENTS:
+        return getattr(importlib.import_module(_ENVIRONMENTS[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

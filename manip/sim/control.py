@@ -7,6 +7,9 @@ h [n] Coriolis and gravity torques; J = [Jp; Jr] [6, n] Jacobian of the grip sit
 Sources: robosuite 1.5.2, controllers/parts/arm/osc.py, parts/generic/joint_pos.py,
 utils/control_utils.py; Khatib, "A unified approach for motion and force control of
 robot manipulators", 1987.
+
+Fields of `Work` know their sizes; `[:]` forgets them, so that one compiled version of
+`factor` and `solve` serves all.
 """
 
 from math import cos, sin, sqrt
@@ -14,17 +17,44 @@ from typing import Any
 
 import numpy as np
 
-from manip.compiled import jit
+from manip.compiled import kernel
 
 Array = np.ndarray
+
+Work = Any
+"""A record that `new_work` makes: one pointer to numba, however many its fields."""
 
 NULL_KP = 10.0
 """Null-space stiffness towards q0 [1/s^2] (control_utils.nullspace_torques)."""
 
 
-@jit
-def factor(a: Array, n: int) -> None:
-    """Overwrite the lower triangle of a[:n, :n] by its Cholesky factor."""
+def new_work(n: int) -> Work:
+    """What the control laws of an arm with n joints read and write.
+
+    q, qd, q0, mass (M), bias (h), jac (J): as above. tool_p, tool_r: p, R; base_p,
+    base_r: b, B. velocity [6]: of the tool, less that of the base site. goal_p, goal_r:
+    of the tool in the base frame; goal_q: of the joints. force [3], moment [3]: asked
+    of the tool; pull [n]: acceleration asked of the joints. torque [n]: the result.
+    """
+    fields = [
+        ("q", float, n), ("qd", float, n), ("q0", float, n),
+        ("mass", float, (n, n)), ("bias", float, n), ("jac", float, (6, n)),
+        ("tool_p", float, 3), ("tool_r", float, (3, 3)),
+        ("base_p", float, 3), ("base_r", float, (3, 3)), ("velocity", float, 6),
+        ("goal_p", float, 3), ("goal_r", float, (3, 3)), ("goal_q", float, n),
+        ("force", float, 3), ("moment", float, 3), ("pull", float, n),
+        ("torque", float, n),
+        ("turn", float, (3, 3)), ("target", float, (3, 3)),
+        ("factor", float, (n, n)), ("x", float, (6, n)),
+        ("inertia", float, (6, 6)), ("angular", float, (3, 3)), ("task", float, 6),
+    ]  # fmt: skip
+    return np.zeros(1, fields).view(np.recarray)[0]
+
+
+@kernel
+def factor(a: Array) -> None:
+    """Overwrite the lower triangle of a [n, n] by its Cholesky factor."""
+    n = len(a)
     for j in range(n):
         for k in range(j):
             for i in range(j, n):
@@ -34,153 +64,145 @@ def factor(a: Array, n: int) -> None:
             a[i, j] /= pivot
 
 
-@jit
-def forward_solve(factor_: Array, x: Array, n: int) -> None:
-    """Overwrite x [n] by L^-1 x, L the lower triangle of `factor_`."""
-    for i in range(n):
+@kernel
+def forward_solve(lower: Array, x: Array) -> None:
+    """Overwrite x [n] by L^-1 x, L the lower triangle of `lower`, its first n rows."""
+    for i in range(len(x)):
         for k in range(i):
-            x[i] -= factor_[i, k] * x[k]
-        x[i] /= factor_[i, i]
+            x[i] -= lower[i, k] * x[k]
+        x[i] /= lower[i, i]
 
 
-@jit
-def solve(factor_: Array, x: Array, n: int) -> None:
+@kernel
+def solve(lower: Array, x: Array) -> None:
     """Overwrite x [n] by (L L^T)^-1 x."""
-    forward_solve(factor_, x, n)
+    n = len(x)
+    forward_solve(lower, x)
     for i in range(n - 1, -1, -1):
         for k in range(i + 1, n):
-            x[i] -= factor_[k, i] * x[k]
-        x[i] /= factor_[i, i]
+            x[i] -= lower[k, i] * x[k]
+        x[i] /= lower[i, i]
 
 
-@jit
+@kernel
+def multiply(a: Array, b: Array, out: Array) -> None:
+    """Matrix product: out = a b, all [3, 3]."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@kernel
 def rotation_from_vector(vector: Array, out: Array) -> None:
     """Rotation matrix of a rotation vector [rad], rounded as robosuite rounds it.
 
     robosuite goes through a quaternion in float32 (transform_utils.quat2mat); the
     rounding is repeated here so that goals agree to the last bit it leaves.
     """
-    angle = sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
-    q = np.zeros(4, np.float32)
-    q[0] = 1.0
-    if angle > 0.0:
-        q[0] = cos(angle / 2.0)
-        for k in range(3):
-            q[k + 1] = vector[k] / angle * sin(angle / 2.0)
-    norm = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
-    for k in range(4):
-        q[k] = q[k] * sqrt(2.0 / norm)
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    one = 1.0
-    out[0, 0], out[0, 1], out[0, 2] = one - y * y - z * z, x * y - z * w, x * z + y * w
-    out[1, 0], out[1, 1], out[1, 2] = x * y + z * w, one - x * x - z * z, y * z - x * w
-    out[2, 0], out[2, 1], out[2, 2] = x * z - y * w, y * z + x * w, one - x * x - y * y
+    x, y, z = vector[0], vector[1], vector[2]
+    angle = sqrt(x**2 + y**2 + z**2)
+    length = angle if angle > 0.0 else 1.0
+    a, half = np.float32(cos(angle / 2.0)), sin(angle / 2.0)
+    b, c = np.float32(x / length * half), np.float32(y / length * half)
+    d = np.float32(z / length * half)
+    root = sqrt(2.0 / (a * a + b * b + c * c + d * d))
+    a, b = np.float32(a * root), np.float32(b * root)
+    c, d = np.float32(c * root), np.float32(d * root)
+    out[0, 0], out[0, 1], out[0, 2] = 1.0 - c * c - d * d, b * c - d * a, b * d + c * a
+    out[1, 0], out[1, 1], out[1, 2] = b * c + d * a, 1.0 - b * b - d * d, c * d - b * a
+    out[2, 0], out[2, 1], out[2, 2] = b * d - c * a, c * d + b * a, 1.0 - b * b - c * c
 
 
-@jit
-def latch_pose_goal(
-    action: Array,
-    scale: Array,
-    p: Array,
-    rot: Array,
-    b: Array,
-    base: Array,
-    goal_p: Array,
-    goal_r: Array,
-    turn: Array,
-) -> None:
-    """Pose goal in the base frame: B^T (p - b) + dx and Rot(w) B^T R.
+@kernel
+def latch_pose_goal(action: Array, scale: Array, w: Work) -> None:
+    """Pose goal in the base frame: B^T (p - b) + dx and Rot(turn) B^T R.
 
-    dx [m] and w [rad] are the first and last three of `action` [6] (clipped to
+    dx [m] and turn [rad] are the first and last three of `action` [6] (clipped to
     [-1, 1]) times `scale`; "achieved" goals start from where the tool is.
     """
-    vector = np.empty(3)
-    for k in range(3):
-        vector[k] = scale[3 + k] * min(1.0, max(-1.0, action[3 + k]))
-    rotation_from_vector(vector, turn)
     for i in range(3):
-        goal_p[i] = scale[i] * min(1.0, max(-1.0, action[i]))
+        w.goal_p[i] = scale[i] * min(1.0, max(-1.0, action[i]))
+        w.moment[i] = scale[3 + i] * min(1.0, max(-1.0, action[3 + i]))
         for k in range(3):
-            goal_p[i] += base[k, i] * (p[k] - b[k])
-    local = base.T @ rot
-    goal_r[:] = turn @ local
+            w.goal_p[i] += w.base_r[k, i] * (w.tool_p[k] - w.base_p[k])
+    rotation_from_vector(w.moment, w.turn)
+    multiply(w.base_r.T, w.tool_r, w.target)
+    multiply(w.turn, w.target, w.goal_r)
 
 
-@jit
-def pose_error(
-    arm: Any,
-    p: Array,
-    rot: Array,
-    b: Array,
-    base: Array,
-    goal_p: Array,
-    goal_r: Array,
-    velocity: Array,
-    out: Array,
-) -> None:
-    """Desired force [3] and torque [3]: kp * error - kd * velocity, into out [6].
+@kernel
+def pose_error(kp: float, kd: float, w: Work) -> None:
+    """Desired force [3] and moment [3] of the tool: kp * error - kd * velocity.
 
-    The rotation error is 0.5 * sum_k R[:, k] x R*[:, k] = sin(angle) * axis;
-    `velocity` [6] is the tool's, less the base site's.
+    The rotation error is 0.5 * sum_k R[:, k] x R*[:, k] = sin(angle) * axis.
     """
-    target = base @ goal_r
+    multiply(w.base_r, w.goal_r, w.target)
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        reach = b[i] - p[i]
+        reach = w.base_p[i] - w.tool_p[i]
         turn = 0.0
         for c in range(3):
-            reach += base[i, c] * goal_p[c]
-            turn += 0.5 * (rot[j, c] * target[k, c] - rot[k, c] * target[j, c])
-        out[i] = arm.kp * reach - arm.kd * velocity[i]
-        out[3 + i] = arm.kp * turn - arm.kd * velocity[3 + i]
+            reach += w.base_r[i, c] * w.goal_p[c]
+            turn += 0.5 * w.tool_r[j, c] * w.target[k, c]
+            turn -= 0.5 * w.tool_r[k, c] * w.target[j, c]
+        w.force[i] = kp * reach - kd * w.velocity[i]
+        w.moment[i] = kp * turn - kd * w.velocity[3 + i]
 
 
-@jit
-def osc_torque(
-    mass: Array, jac: Array, wrench: Array, pull: Array, h: Array, work: Any, out: Array
-) -> None:
-    """tau = Jp^T Lp f + Jr^T Lr t + h + M u - J^T L J u, into out [n].
+@kernel
+def joint_torque(w: Work) -> None:
+    """tau = M u + h, u = `pull` [n] the acceleration asked of the joints."""
+    n = len(w.q)
+    for i in range(n):
+        w.torque[i] = w.bias[i]
+        for k in range(n):
+            w.torque[i] += w.mass[i, k] * w.pull[k]
+
+
+@kernel
+def osc_torque(w: Work) -> None:
+    """tau = Jp^T Lp f + Jr^T Lr t + h + M u - J^T L J u.
 
     L = (J M^-1 J^T)^-1, Lp and Lr the same of the linear and angular blocks alone
-    (uncoupled), [f; t] = `wrench` [6], u = `pull` [n] the null-space acceleration.
+    (uncoupled), f = `force`, t = `moment`, u = `pull` the null-space acceleration.
     """
-    n = mass.shape[0]
-    for i in range(n):
-        out[i] = h[i]
+    n = len(w.q)
+    joint_torque(w)
+    factor_inertias(w)
+    for i in range(6):
+        w.task[i] = 0.0
         for k in range(n):
-            out[i] += mass[i, k] * pull[k]
-    work.mass_factor[:] = mass
-    factor(work.mass_factor, n)
-    for i in range(6):
-        work.x[i, :] = jac[i, :]
-        forward_solve(work.mass_factor, work.x[i], n)
-    for i in range(6):
-        for j in range(i + 1):
-            work.inertia[i, j] = 0.0
-            for k in range(n):
-                work.inertia[i, j] += work.x[i, k] * work.x[j, k]
-    work.linear[:] = work.inertia[:3, :3]
-    work.angular[:] = work.inertia[3:, 3:]
-    factor(work.inertia, 6)
-    factor(work.linear, 3)
-    factor(work.angular, 3)
-    for i in range(6):
-        work.task[i] = 0.0
-        for k in range(n):
-            work.task[i] += jac[i, k] * pull[k]
-    solve(work.inertia, work.task, 6)
-    solve(work.linear, wrench[:3], 3)
-    solve(work.angular, wrench[3:], 3)
+            w.task[i] += w.jac[i, k] * w.pull[k]
+    solve(w.inertia[:], w.task[:])
+    solve(w.inertia[:], w.force[:])
+    solve(w.angular[:], w.moment[:])
     for k in range(n):
-        for i in range(6):
-            out[k] += jac[i, k] * (wrench[i] - work.task[i])
+        for i in range(3):
+            w.torque[k] += w.jac[i, k] * (w.force[i] - w.task[i])
+            w.torque[k] += w.jac[3 + i, k] * (w.moment[i] - w.task[3 + i])
 
 
-@jit
-def joint_torque(mass: Array, acceleration: Array, h: Array, out: Array) -> None:
-    """tau = M (kp (q* - q) - kd qd) + h, into out [n]."""
-    n = mass.shape[0]
+@kernel
+def factor_inertias(w: Work) -> None:
+    """Cholesky factors of J M^-1 J^T [6, 6] and of its angular block.
+
+    That of the linear block is the corner of the whole's.
+    """
+    n = len(w.q)
     for i in range(n):
-        out[i] = h[i]
+        for k in range(i + 1):
+            w.factor[i, k] = w.mass[i, k]
+    factor(w.factor[:])
+    for i in range(6):
         for k in range(n):
-            out[i] += mass[i, k] * acceleration[k]
+            w.x[i, k] = w.jac[i, k]
+        forward_solve(w.factor[:], w.x[i])
+        for j in range(i + 1):
+            w.inertia[i, j] = 0.0
+            for k in range(n):
+                w.inertia[i, j] += w.x[i, k] * w.x[j, k]
+    for i in range(3):
+        for j in range(i + 1):
+            w.angular[i, j] = w.inertia[3 + i, 3 + j]
+    factor(w.inertia[:])
+    factor(w.angular[:])

@@ -7,7 +7,7 @@ belong to the state before the last integration.
 """
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -17,9 +17,10 @@ import numpy as np
 
 from manip.cpus import usable_cpus
 from manip.errors import UserError
+from manip.sim.control import Work, new_work
 from manip.sim.handles import Slot, with_joints
 from manip.sim.model import Scene
-from manip.sim.native import Plan, Sim, Work, refresh_worlds, step_worlds
+from manip.sim.native import Places, Plan, Sim, refresh_worlds, step_worlds
 
 Array = np.ndarray
 
@@ -112,11 +113,10 @@ class BatchEngine:
             qpos: [n, nq].
             fields: name -> [n, k], the model fields to set in these worlds.
         """
-        scene, plan = self.scene, self._plan
         rows = np.zeros((len(worlds), self.states.shape[1]))
-        rows[:, : plan.nq] = qpos
-        at = plan.nq + 2 * plan.nv
-        rows[:, at : at + len(scene.handles.arm.qpos)] = qpos[:, scene.handles.arm.qpos]
+        rows[:, : qpos.shape[1]] = qpos
+        start_pos = self.field_columns("start_pos")
+        rows[:, start_pos] = qpos[:, self.scene.handles.arm.qpos]
         rows[:, self._fields_at :] = self.states[worlds, self._fields_at :]
         for name, values in (fields or {}).items():
             rows[:, self.field_columns(name)] = values
@@ -188,7 +188,6 @@ class BatchEngine:
         refresh_worlds(
             self._mine[0].sim,
             self._plan,
-            self._fields_at,
             self.states,
             self._readings,
             worlds,
@@ -208,54 +207,52 @@ class _ThreadState:
 def _thread_state(scene: Scene) -> _ThreadState:
     model = mujoco.MjModel.__copy__(scene.physics)
     data = mujoco.MjData(model)
+    work = new_work(len(scene.handles.arm.dof))
+    command = np.zeros(len(scene.handles.gripper.actuator))
     sim = Sim(
         model=model._address,
         data=data._address,
+        state=_places(
+            data.qpos,
+            data.qvel,
+            data.qacc_warmstart,
+            work.q0,
+            command,
+            *_runs(model, scene.handles.fields),
+        ),
+        slots=_places(*_runs(data, scene.handles.slots)),
+        command=command,
         qpos=data.qpos,
         qvel=data.qvel,
-        warmstart=data.qacc_warmstart,
         ctrl=data.ctrl,
         mass=data.M,
         bias=data.qfrc_bias,
+        cdof=data.cdof,
+        com=data.subtree_com,
         site_xpos=data.site_xpos,
         site_xmat=data.site_xmat,
         found=data.sensordata,
-        sources=_addresses(data, scene.handles.slots),
-        targets=_addresses(model, scene.handles.fields),
     )
-    return _ThreadState(model, data, sim, _work(len(scene.handles.arm.dof), model.nv))
+    return _ThreadState(model, data, sim, work)
 
 
-def _addresses(owner: Any, slots: tuple[Slot, ...]) -> Array:
-    return np.array(
-        [getattr(owner, slot.array).ctypes.data + 8 * slot.start for slot in slots],
-        dtype=np.int64,
-    )
+def _runs(owner: Any, slots: tuple[Slot, ...]) -> Iterator[Array]:
+    """Views of the entries that the slots name."""
+    for slot in slots:
+        flat = getattr(owner, slot.array).reshape(-1)
+        yield flat[slot.start : slot.start + slot.size]
 
 
-def _work(n: int, nv: int) -> Work:
-    shapes = {
-        "mass": (n, n), "mass_factor": (n, n), "jac": (6, n), "jac_full": (6, nv),
-        "x": (6, n), "inertia": (6, 6), "linear": (3, 3), "angular": (3, 3),
-        "task": (6,), "wrench": (6,), "velocity": (6,), "pull": (n,), "bias": (n,),
-        "torque": (n,), "goal_p": (3,), "goal_r": (3, 3), "turn": (3, 3),
-        "goal_q": (n,),
-    }  # fmt: skip
-    return Work(**{name: np.zeros(shape) for name, shape in shapes.items()})
+def _places(*runs: Array) -> Places:
+    addresses = [run.ctypes.data for run in runs]
+    return Places(np.array(addresses, np.int64), np.array([run.size for run in runs]))
 
 
 def _plan(scene: Scene) -> Plan:
-    sizes = np.array([slot.size for slot in scene.handles.slots], dtype=np.int64)
     return Plan(
-        nq=scene.physics.nq,
-        nv=scene.physics.nv,
-        slot_sizes=sizes,
-        field_sizes=np.array(
-            [slot.size for slot in scene.handles.fields], dtype=np.int64
-        ),
-        touch_start=int(sizes.sum()),
-        touch_of_sensor=scene.touch_of_sensor,
         substeps=scene.substeps,
+        touch_at=sum(slot.size for slot in scene.handles.slots),
+        touch_of_sensor=scene.touch_of_sensor,
     )
 
 

@@ -64,6 +64,8 @@ class Arm(NamedTuple):
     kd: float
     tool: int
     base: int
+    root: int
+    moves_base: Array
 
 
 class Gripper(NamedTuple):
@@ -194,7 +196,8 @@ def _arm(stock: Any) -> Arm:
     robot = stock.robots[0]
     actuator = np.array(robot._ref_arm_joint_actuator_indexes)
     dof = np.array(part.qvel_index)
-    base = f"{part.naming_prefix}{part.part_name}_center"
+    tool = lookup(model, "site", robot.gripper["right"].important_sites["grip_site"])
+    base = lookup(model, "site", f"{part.naming_prefix}{part.part_name}_center")
     return Arm(
         osc=part.name == "OSC_POSE",
         qpos=np.array(part.qpos_index),
@@ -206,9 +209,21 @@ def _arm(stock: Any) -> Arm:
         scale=np.array(part.output_max, dtype=float),
         kp=float(part.kp[0]),
         kd=float(part.kd[0]),
-        tool=lookup(model, "site", robot.gripper["right"].important_sites["grip_site"]),
-        base=lookup(model, "site", base),
+        tool=tool,
+        base=base,
+        root=int(model.body_rootid[model.site_bodyid[tool]]),
+        moves_base=np.isin(dof, _dofs_above(model, model.site_bodyid[base])),
     )
+
+
+def _dofs_above(model: mujoco.MjModel, body: int) -> list[int]:
+    """Degrees of freedom that move a body."""
+    found: list[int] = []
+    while body > 0:
+        start = model.body_dofadr[body]
+        found += range(start, start + model.body_dofnum[body])
+        body = model.body_parentid[body]
+    return found
 
 
 def _mass_addresses(model: mujoco.MjModel, dof: Array) -> Array:

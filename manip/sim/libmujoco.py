@@ -21,5 +21,4 @@ _pointer, _int = types.intp, types.int32
 mj_step1 = _function("mj_step1", _pointer, _pointer)
 mj_step2 = _function("mj_step2", _pointer, _pointer)
 mj_forward = _function("mj_forward", _pointer, _pointer)
-mj_jac_site = _function("mj_jacSite", _pointer, _pointer, _pointer, _pointer, _int)
 mju_copy = _function("mju_copy", _pointer, _pointer, _int)

@@ -4,26 +4,22 @@ A control period is robosuite's own sequence (environments/base.py): `mj_step1`,
 latched at the first substep, control law, `mj_step2`.
 """
 
+from math import isfinite, isnan, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
-from manip.compiled import jit
+from manip.compiled import jit, kernel
 from manip.sim.control import (
     NULL_KP,
+    Work,
     joint_torque,
     latch_pose_goal,
     osc_torque,
     pose_error,
 )
 from manip.sim.handles import Arm, Gripper
-from manip.sim.libmujoco import (
-    mj_forward,
-    mj_jac_site,
-    mj_step1,
-    mj_step2,
-    mju_copy,
-)
+from manip.sim.libmujoco import mj_forward, mj_step1, mj_step2, mju_copy
 
 Array = np.ndarray
 
@@ -31,228 +27,198 @@ LIMIT = 1e8
 """A world whose |qpos| or |qvel| passes this is counted as broken (MuJoCo: 1e10)."""
 
 
-class Work(NamedTuple):
-    """Scratch of the control law, one a thread."""
+class Places(NamedTuple):
+    """Where the entries of a row come from, run after run: addresses and lengths."""
 
-    mass: Array
-    mass_factor: Array
-    jac: Array
-    jac_full: Array
-    x: Array
-    inertia: Array
-    linear: Array
-    angular: Array
-    task: Array
-    wrench: Array
-    velocity: Array
-    pull: Array
-    bias: Array
-    torque: Array
-    goal_p: Array
-    goal_r: Array
-    turn: Array
-    goal_q: Array
+    address: Array
+    size: Array
 
 
 class Sim(NamedTuple):
-    """A thread's own MjModel and MjData as addresses, and views of their arrays."""
+    """A thread's own MjModel and MjData as addresses, and views of their arrays.
+
+    state: all that a world's state row holds; slots: what its readings row holds
+    before the contact flags. command: of the gripper, an entry an actuator.
+    """
 
     model: int
     data: int
+    state: Places
+    slots: Places
+    command: Array
     qpos: Array
     qvel: Array
-    warmstart: Array
     ctrl: Array
     mass: Array
     bias: Array
+    cdof: Array
+    com: Array
     site_xpos: Array
     site_xmat: Array
     found: Array
-    sources: Array
-    targets: Array
 
 
 class Plan(NamedTuple):
-    """Where things lie: in a world's state row, in its readings row."""
+    """What a control period is: its substeps, and whose flag each touch sensor sets."""
 
-    nq: int
-    nv: int
-    slot_sizes: Array
-    field_sizes: Array
-    touch_start: int
-    touch_of_sensor: Array
     substeps: int
+    touch_at: int
+    touch_of_sensor: Array
 
 
-@jit
-def _load(sim: Sim, plan: Plan, fields_at: int, row: Array) -> None:
-    nq, nv = plan.nq, plan.nv
-    sim.qpos[:] = row[:nq]
-    sim.qvel[:] = row[nq : nq + nv]
-    sim.warmstart[:] = row[nq + nv : nq + 2 * nv]
-    at = fields_at
-    for k in range(len(plan.field_sizes)):
-        mju_copy(sim.targets[k], row[at:].ctypes.data, np.int32(plan.field_sizes[k]))
-        at += plan.field_sizes[k]
+@kernel
+def _load(row: Array, places: Places) -> None:
+    at = row.ctypes.data
+    for k in range(len(places.size)):
+        mju_copy(places.address[k], at, np.int32(places.size[k]))
+        at += 8 * places.size[k]
 
 
-@jit
-def _store(sim: Sim, plan: Plan, row: Array) -> None:
-    nq, nv = plan.nq, plan.nv
-    row[:nq] = sim.qpos
-    row[nq : nq + nv] = sim.qvel
-    row[nq + nv : nq + 2 * nv] = sim.warmstart
+@kernel
+def _store(row: Array, places: Places) -> None:
+    at = row.ctypes.data
+    for k in range(len(places.size)):
+        mju_copy(at, places.address[k], np.int32(places.size[k]))
+        at += 8 * places.size[k]
 
 
-@jit
-def _gather(sim: Sim, plan: Plan, row: Array) -> None:
-    at = 0
-    for k in range(len(plan.slot_sizes)):
-        mju_copy(row[at:].ctypes.data, sim.sources[k], np.int32(plan.slot_sizes[k]))
-        at += plan.slot_sizes[k]
-    row[plan.touch_start :] = 0.0
+@kernel
+def _store_touches(row: Array, plan: Plan, found: Array) -> None:
+    for k in range(plan.touch_at, len(row)):
+        row[k] = 0.0
     for k in range(len(plan.touch_of_sensor)):
-        if sim.found[k] > 0.0:
-            row[plan.touch_start + plan.touch_of_sensor[k]] = 1.0
+        if found[k] > 0.0:
+            row[plan.touch_at + plan.touch_of_sensor[k]] = 1.0
 
 
-@jit
-def _broken(sim: Sim) -> bool:
-    for x in sim.qpos:
-        if not abs(x) < LIMIT:
-            return True
-    for x in sim.qvel:
-        if not abs(x) < LIMIT:
-            return True
-    return False
+@kernel
+def _within_limits(values: Array) -> bool:
+    for i in range(len(values)):
+        if not abs(values[i]) < LIMIT:
+            return False
+    return True
 
 
-@jit
-def _latch(sim: Sim, arm: Arm, work: Work, action: Array) -> None:
+@kernel
+def _read_joints(sim: Sim, arm: Arm, w: Work) -> None:
+    for i in range(len(w.q)):
+        w.q[i] = sim.qpos[arm.qpos[i]]
+        w.qd[i] = sim.qvel[arm.dof[i]]
+        w.bias[i] = sim.bias[arm.dof[i]]
+        for j in range(len(w.q)):
+            w.mass[i, j] = sim.mass[arm.mass[i, j]]
+
+
+@kernel
+def _read_pose(sim: Sim, site: int, p: Array, r: Array) -> None:
+    for i in range(3):
+        p[i] = sim.site_xpos[site, i]
+        for j in range(3):
+            r[i, j] = sim.site_xmat[site, 3 * i + j]
+
+
+@kernel
+def _read_jacobian(sim: Sim, arm: Arm, w: Work) -> None:
+    """J from the joints' axes, which MuJoCo keeps about `com` (engine_core_util.c)."""
+    for k in range(len(w.q)):
+        axis = sim.cdof[arm.dof[k]]
+        for i in range(3):
+            u, v = (i + 1) % 3, (i + 2) % 3
+            to_u = w.tool_p[u] - sim.com[arm.root, u]
+            to_v = w.tool_p[v] - sim.com[arm.root, v]
+            w.jac[i, k] = axis[3 + i] + (axis[u] * to_v - axis[v] * to_u)
+            w.jac[3 + i, k] = axis[i]
+
+
+@kernel
+def _read_velocity(arm: Arm, w: Work) -> None:
+    """Of the tool, less the base site's: a joint below both only turns one about it."""
+    for i in range(3):
+        u, v = (i + 1) % 3, (i + 2) % 3
+        w.velocity[i] = w.velocity[3 + i] = 0.0
+        for k in range(len(w.q)):
+            if arm.moves_base[k]:
+                turn_u = w.jac[3 + u, k] * (w.tool_p[v] - w.base_p[v])
+                turn_v = w.jac[3 + v, k] * (w.tool_p[u] - w.base_p[u])
+                w.velocity[i] += (turn_u - turn_v) * w.qd[k]
+            else:
+                w.velocity[i] += w.jac[i, k] * w.qd[k]
+                w.velocity[3 + i] += w.jac[3 + i, k] * w.qd[k]
+
+
+@kernel
+def _read_arm(sim: Sim, arm: Arm, w: Work) -> None:
+    _read_joints(sim, arm, w)
     if arm.osc:
-        latch_pose_goal(
-            action,
-            arm.scale,
-            sim.site_xpos[arm.tool],
-            sim.site_xmat[arm.tool].reshape(3, 3),
-            sim.site_xpos[arm.base],
-            sim.site_xmat[arm.base].reshape(3, 3),
-            work.goal_p,
-            work.goal_r,
-            work.turn,
-        )
-        return
-    for i in range(len(arm.qpos)):
-        delta = arm.scale[i] * min(1.0, max(-1.0, action[i]))
-        work.goal_q[i] = sim.qpos[arm.qpos[i]] + delta
+        _read_pose(sim, arm.tool, w.tool_p, w.tool_r)
+        _read_pose(sim, arm.base, w.base_p, w.base_r)
+        _read_jacobian(sim, arm, w)
+        _read_velocity(arm, w)
 
 
-@jit
-def _read_dynamics(sim: Sim, arm: Arm, work: Work) -> None:
-    n = len(arm.dof)
-    for i in range(n):
-        work.bias[i] = sim.bias[arm.dof[i]]
-        for j in range(n):
-            work.mass[i, j] = sim.mass[arm.mass[i, j]]
-
-
-@jit
-def _jacobian(sim: Sim, arm: Arm, work: Work, site: int) -> None:
-    nv = work.jac_full.shape[1]
-    start = work.jac_full.ctypes.data
-    mj_jac_site(sim.model, sim.data, start, start + 24 * nv, np.int32(site))
-    for i in range(6):
-        for k in range(len(arm.dof)):
-            work.jac[i, k] = work.jac_full[i, arm.dof[k]]
-
-
-@jit
-def _tool_velocity(sim: Sim, arm: Arm, work: Work) -> None:
-    """Tool velocity less that of the base site, into work.velocity."""
-    _jacobian(sim, arm, work, arm.base)
-    for i in range(6):
-        work.velocity[i] = 0.0
-        for k in range(len(arm.dof)):
-            work.velocity[i] -= work.jac[i, k] * sim.qvel[arm.dof[k]]
-    _jacobian(sim, arm, work, arm.tool)
-    for i in range(6):
-        for k in range(len(arm.dof)):
-            work.velocity[i] += work.jac[i, k] * sim.qvel[arm.dof[k]]
-
-
-@jit
-def _arm_torque(sim: Sim, arm: Arm, work: Work, q0: Array) -> None:
-    _read_dynamics(sim, arm, work)
+@kernel
+def _latch(arm: Arm, w: Work, action: Array) -> None:
     if arm.osc:
-        _tool_velocity(sim, arm, work)
-        pose_error(
-            arm,
-            sim.site_xpos[arm.tool],
-            sim.site_xmat[arm.tool].reshape(3, 3),
-            sim.site_xpos[arm.base],
-            sim.site_xmat[arm.base].reshape(3, 3),
-            work.goal_p,
-            work.goal_r,
-            work.velocity,
-            work.wrench,
-        )
-        for i in range(len(arm.dof)):
-            work.pull[i] = NULL_KP * (q0[i] - sim.qpos[arm.qpos[i]])
-            work.pull[i] -= 2.0 * np.sqrt(NULL_KP) * sim.qvel[arm.dof[i]]
-        osc_torque(
-            work.mass, work.jac, work.wrench, work.pull, work.bias, work, work.torque
-        )
+        latch_pose_goal(action, arm.scale, w)
         return
-    for i in range(len(arm.dof)):
-        work.pull[i] = arm.kp * (work.goal_q[i] - sim.qpos[arm.qpos[i]])
-        work.pull[i] -= arm.kd * sim.qvel[arm.dof[i]]
-    joint_torque(work.mass, work.pull, work.bias, work.torque)
+    for i in range(len(w.q)):
+        w.goal_q[i] = w.q[i] + arm.scale[i] * min(1.0, max(-1.0, action[i]))
 
 
-@jit
-def _drive_arm(sim: Sim, arm: Arm, work: Work) -> bool:
+@kernel
+def _arm_torque(arm: Arm, w: Work) -> None:
+    if arm.osc:
+        for i in range(len(w.q)):
+            w.pull[i] = NULL_KP * (w.q0[i] - w.q[i])
+            w.pull[i] -= 2.0 * sqrt(NULL_KP) * w.qd[i]
+        pose_error(arm.kp, arm.kd, w)
+        osc_torque(w)
+        return
+    for i in range(len(w.q)):
+        w.pull[i] = arm.kp * (w.goal_q[i] - w.q[i]) - arm.kd * w.qd[i]
+    joint_torque(w)
+
+
+@kernel
+def _drive_arm(sim: Sim, arm: Arm, w: Work) -> bool:
     """Clip the torque to the actuators' range and apply it; False if not finite."""
     finite = True
-    for i in range(len(arm.actuator)):
-        torque = work.torque[i]
-        finite = finite and np.isfinite(torque)
-        sim.ctrl[arm.actuator[i]] = min(arm.high[i], max(arm.low[i], torque))
+    for i in range(len(w.torque)):
+        finite = finite and isfinite(w.torque[i])
+        sim.ctrl[arm.actuator[i]] = min(arm.high[i], max(arm.low[i], w.torque[i]))
     return finite
 
 
-@jit
-def _drive_gripper(sim: Sim, gripper: Gripper, action: float, command: Array) -> None:
+@kernel
+def _drive_gripper(sim: Sim, gripper: Gripper, action: float) -> None:
+    sign = np.sign(action)
     for i in range(len(gripper.actuator)):
-        moved = command[i] + gripper.speed[i] * np.sign(action)
-        command[i] = min(1.0, max(-1.0, moved))
-        sim.ctrl[gripper.actuator[i]] = gripper.bias[i] + gripper.weight[i] * command[i]
+        moved = sim.command[i] + gripper.speed[i] * sign
+        sim.command[i] = min(1.0, max(-1.0, moved))
+        sim.ctrl[gripper.actuator[i]] = (
+            gripper.bias[i] + gripper.weight[i] * sim.command[i]
+        )
 
 
-@jit
+@kernel
 def _advance(
-    sim: Sim,
-    plan: Plan,
-    arm: Arm,
-    gripper: Gripper,
-    work: Work,
-    action: Array,
-    q0: Array,
-    command: Array,
+    sim: Sim, plan: Plan, arm: Arm, gripper: Gripper, w: Work, action: Array
 ) -> bool:
     """One control period of the loaded world; False if it became non-finite."""
-    for x in action:
-        if np.isnan(x):  # the clips would make it -1: full speed
+    for k in range(len(action)):
+        if isnan(action[k]):  # the clips would make it -1: full speed
             return False
     for substep in range(plan.substeps):
         mj_step1(sim.model, sim.data)
+        _read_arm(sim, arm, w)
         if substep == 0:
-            _latch(sim, arm, work, action)
-            _drive_gripper(sim, gripper, action[-1], command)
-        _arm_torque(sim, arm, work, q0)
-        if not _drive_arm(sim, arm, work):
+            _latch(arm, w, action)
+            _drive_gripper(sim, gripper, action[-1])
+        _arm_torque(arm, w)
+        if not _drive_arm(sim, arm, w):
             return False
         mj_step2(sim.model, sim.data)
-        if _broken(sim):
+        if not (_within_limits(sim.qpos) and _within_limits(sim.qvel)):
             return False
     return True
 
@@ -263,7 +229,7 @@ def step_worlds(
     plan: Plan,
     arm: Arm,
     gripper: Gripper,
-    work: Work,
+    w: Work,
     actions: Array,
     states: Array,
     readings: Array,
@@ -272,31 +238,25 @@ def step_worlds(
     stop: int,
 ) -> None:
     """Step worlds [start, stop); a broken one keeps its state and its readings."""
-    q0_at = plan.nq + 2 * plan.nv
-    command_at = q0_at + len(arm.qpos)
-    fields_at = command_at + len(gripper.actuator)
-    command = np.empty(len(gripper.actuator))
-    for w in range(start, stop):
-        row = states[w]
-        _load(sim, plan, fields_at, row)
-        command[:] = row[command_at:fields_at]
-        broken[w] = not _advance(
-            sim, plan, arm, gripper, work, actions[w], row[q0_at:command_at], command
-        )
-        if not broken[w]:
-            _store(sim, plan, row)
-            row[command_at:fields_at] = command
-            _gather(sim, plan, readings[w])
+    for world in range(start, stop):
+        _load(states[world], sim.state)
+        broken[world] = not _advance(sim, plan, arm, gripper, w, actions[world])
+        if not broken[world]:
+            _store(states[world], sim.state)
+            _store(readings[world], sim.slots)
+            _store_touches(readings[world], plan, sim.found)
 
 
 @jit
 def refresh_worlds(
-    sim: Sim, plan: Plan, fields_at: int, states: Array, readings: Array, worlds: Array
+    sim: Sim, plan: Plan, states: Array, readings: Array, worlds: Array
 ) -> None:
     """`mj_forward` on the given worlds, as robosuite does at the end of a reset."""
-    sim.ctrl[:] = 0.0
-    for w in worlds:
-        _load(sim, plan, fields_at, states[w])
+    for i in range(len(sim.ctrl)):
+        sim.ctrl[i] = 0.0
+    for i in range(len(worlds)):
+        _load(states[worlds[i]], sim.state)
         mj_forward(sim.model, sim.data)
-        _store(sim, plan, states[w])
-        _gather(sim, plan, readings[w])
+        _store(states[worlds[i]], sim.state)
+        _store(readings[worlds[i]], sim.slots)
+        _store_touches(readings[worlds[i]], plan, sim.found)
