@@ -19,8 +19,7 @@ from manip.training.rollout import Rollout
 
 def rollout_of(agent: Agent, length: int = 12) -> TensorDictBase:
     """Worlds whose episodes end at different times, within the rollout."""
-    rollout = Rollout(Points([3, 5, 50, 50]), agent.policy())
-    return rollout.collect(length, watch=lambda _: None)
+    return Rollout(Points([3, 5, 50, 50])).collect(agent.policy(), length).batch
 
 
 def loss_of(agent: Agent) -> ClipPPOLoss:

@@ -301,8 +301,7 @@ def test_warm_up_acts_uniformly_and_learns_nothing() -> None:
     agent = make_agent(replace(QUICK_SAC, random_steps=901), seed=0)
     make_sure(agent)
     before = {k: v.clone() for k, v in agent.modules()["loss"].state_dict().items()}
-    rollout = Rollout(Points([20] * 900), agent.policy())
-    batch = rollout.collect(1, watch=lambda _: None)
+    batch = Rollout(Points([20] * 900)).collect(agent.policy(), 1).batch
     action = batch["action"]
     assert agent.update(batch) == {}
     assert not differ(before, agent.modules()["loss"].state_dict())
@@ -322,9 +321,9 @@ def test_the_actor_acts_after_warm_up() -> None:
 
 def test_buffer_holds_the_true_successor_also_at_an_episodes_end() -> None:
     agent = make_agent(replace(QUICK_SAC, random_steps=1_000, n_step=1), seed=0)
-    rollout = Rollout(Points([3, 4], start=0.5), agent.policy())
+    rollout = Rollout(Points([3, 4], start=0.5))
     for _ in range(4):
-        agent.update(rollout.collect(3, watch=lambda _: None))
+        agent.update(rollout.collect(agent.policy(), 3).batch)
     stored = agent.extra_state()["buffer"]
     x, action, following, reward, steps, terminated = stored.T
     assert len(x) == 24
@@ -350,7 +349,7 @@ def n_steps_by_hand(batch: TensorDict, world: int, t: int, n: int, gamma: float)
 @pytest.mark.parametrize("n", [1, 2, 3, 20])
 def test_n_steps_end_with_the_episode_and_with_the_rollout(n: int) -> None:
     policy = make_agent(QUICK_SAC, seed=0).policy()
-    batch = Rollout(Points([3, 4, 50]), policy).collect(11, watch=lambda _: None)
+    batch = Rollout(Points([3, 4, 50])).collect(policy, 11).batch
     batch["next", "terminated"][1] = batch["next", "done"][1]
     found = n_step_transitions(batch, n, gamma=0.9)
     for world in range(3):
@@ -368,7 +367,7 @@ def test_n_steps_end_with_the_episode_and_with_the_rollout(n: int) -> None:
 def test_the_buffer_holds_transitions_of_n_steps() -> None:
     config = replace(QUICK_SAC, random_steps=1_000, n_step=3, gamma=0.5)
     agent = make_agent(config, seed=0)
-    agent.update(Rollout(Points([9]), agent.policy()).collect(8, lambda _: None))
+    agent.update(Rollout(Points([9])).collect(agent.policy(), 8).batch)
     assert agent.extra_state()["buffer"][:, -2].tolist() == [3] * 6 + [2, 1]
 
 

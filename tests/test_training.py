@@ -217,10 +217,24 @@ def test_the_same_seed_gives_the_same_run_bit_for_bit(algo, finished, tmp_path) 
     assert_equal_runs(finished(algo).folder, again.folder)
 
 
-def test_the_number_of_threads_does_not_change_a_run(finished, tmp_path) -> None:
-    again = Trainer(tiny("ppo", tmp_path / "again", threads=1))
+@by_algorithm
+def test_the_number_of_threads_does_not_change_a_run(algo, finished, tmp_path) -> None:
+    again = Trainer(tiny(algo, tmp_path / "again", threads=1))
     assert again.run()
-    assert_equal_runs(finished("ppo").folder, again.folder)
+    assert_equal_runs(finished(algo).folder, again.folder)
+
+
+@pytest.mark.parametrize(("overlap", "ages"), [(True, [0, 1, 1, 1]), (False, [0] * 3)])
+def test_overlap_acts_with_the_policy_of_one_round_before(
+    overlap: bool, ages: list[int], tmp_path: Path
+) -> None:
+    config = tiny("sac", tmp_path / "run", overlap=overlap, steps=3 * ROLLOUT["sac"])
+    trainer, rounds, known = Trainer(config), [], []
+    policy, update = trainer.agent.policy, trainer.agent.update
+    trainer.agent.policy = lambda: (known.append(len(rounds)), policy())[1]
+    trainer.agent.update = lambda batch: (update(batch), rounds.append(1))[0]
+    assert trainer.run()
+    assert [round_ - seen for round_, seen in enumerate(known)] == ages
 
 
 def test_another_seed_gives_another_run(finished, tmp_path) -> None:
@@ -297,7 +311,10 @@ def rewrite(path: Path, change: Callable[[Any], Any]) -> None:
         (lambda path: path.write_bytes(b""), "is damaged or not a manip file"),
         (lambda path: save_tree(path, [1]), "has format None, not 2"),
         (partial(rewrite, change=lambda t: t.update(format=0)), "has format 0, not 2"),
-        (partial(rewrite, change=lambda t: t.pop("env")), "another configuration"),
+        (
+            partial(rewrite, change=lambda t: t.pop("collector")),
+            "another configuration",
+        ),
         (partial(rewrite, change=lambda t: t.update(torch_rng=3)), "another config"),
         (partial(rewrite, change=lambda t: t["progress"].clear()), "is damaged"),
     ],

@@ -103,9 +103,9 @@ def make_agent(config: SACConfig | PPOConfig, seed: int) -> Agent:
 def train(config: SACConfig | PPOConfig, seed: int, steps: int) -> Agent:
     """An agent after `steps` control steps of 16 points."""
     agent = make_agent(config, seed)
-    rollout = Rollout(Points([20] * 16, seed), agent.policy())
+    rollout = Rollout(Points([20] * 16, seed))
     for _ in range(steps // (16 * agent.rollout_length)):
-        agent.update(rollout.collect(agent.rollout_length, watch=lambda _: None))
+        agent.update(rollout.collect(agent.policy(), agent.rollout_length).batch)
     return agent
 
 

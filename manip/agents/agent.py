@@ -26,14 +26,19 @@ class Agent(ABC):
     Attributes:
         actor: the network that is deployed.
         rollout_length: control steps T of every world between two updates.
+        off_policy: learns from what older policies collected, too.
     """
 
     actor: Actor
     rollout_length: int
+    off_policy: bool = False
 
     @abstractmethod
     def policy(self) -> TensorDictModuleBase:
-        """Explores: writes `action` [N, A] (and what the update needs) to its input."""
+        """Explores as the agent does now: writes `action` [N, A] to its input.
+
+        A copy, with random numbers of its own: it may act while the agent learns.
+        """
 
     @abstractmethod
     def update(self, batch: TensorDictBase) -> dict[str, float]:

@@ -136,3 +136,8 @@ class Actor(nn.Module):
     def squashed(self, raw: Tensor) -> Tensor:
         """The action [..., A] of a sample of SAC's Gaussian."""
         return self.action_scale * raw.tanh()
+
+
+def seeded() -> torch.Generator:
+    """Random numbers of their own, that follow from torch's seed."""
+    return torch.Generator().manual_seed(int(torch.randint(2**62, ())))

@@ -9,6 +9,7 @@
 R = A + V. A time limit ends the sum but is bootstrapped through.
 """
 
+from copy import deepcopy
 from dataclasses import dataclass
 
 import torch
@@ -20,7 +21,7 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from manip.agents.agent import Agent, Spaces
-from manip.agents.networks import Actor, RunningNorm, mlp, orthogonal
+from manip.agents.networks import Actor, RunningNorm, mlp, orthogonal, seeded
 
 TRAINED = ("observation", "action", "action_log_prob", "advantage", "value_target")
 
@@ -64,22 +65,23 @@ class PPOConfig:
 
 
 class RolloutPolicy(TensorDictModuleBase):
-    """Samples the actor; writes the action and its log-probability."""
+    """Samples a copy of the actor; writes the action and its log-probability."""
 
     in_keys = ["observation"]
     out_keys = ["action", "action_log_prob"]
 
     def __init__(self, actor: Actor) -> None:
         super().__init__()
-        self.actor = actor
+        self._actor, self._generator = deepcopy(actor), seeded()
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write `action` [N, A] and `action_log_prob` [N]."""
-        distribution = IndependentNormal(*self.actor(tensordict["observation"]))
-        action = distribution.sample()
-        tensordict.set("action_log_prob", distribution.log_prob(action))
-        return tensordict.set("action", action)
+        loc, scale = self._actor(tensordict["observation"])
+        noise = torch.randn(loc.shape, generator=self._generator)
+        action = loc + scale * noise
+        log_prob = IndependentNormal(loc, scale).log_prob(action)
+        return tensordict.set("action_log_prob", log_prob).set("action", action)
 
 
 class PPO(Agent):
@@ -103,11 +105,10 @@ class PPO(Agent):
         self._optim = torch.optim.Adam(
             self._params, config.learning_rate, eps=1e-5, fused=True
         )
-        self._policy = RolloutPolicy(self.actor)
 
     def policy(self) -> TensorDictModuleBase:
         """Samples of the actor, with log-probabilities."""
-        return self._policy
+        return RolloutPolicy(self.actor)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Several epochs on the rollout [N, T]."""

@@ -11,6 +11,7 @@ y bootstraps through it.
 """
 
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +25,7 @@ from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import SACLoss
 
 from manip.agents.agent import Agent, Spaces
-from manip.agents.networks import Actor, mlp
+from manip.agents.networks import Actor, mlp, seeded
 from manip.agents.returns import n_step_transitions
 from manip.agents.sac_gradients import flatten_loss, rows_of, sac_gradients
 
@@ -66,29 +67,31 @@ class SACConfig:
 
 
 class RolloutPolicy(TensorDictModuleBase):
-    """Samples the actor for exploration; uniform actions while `warming_up`."""
+    """Samples a copy of the actor for exploration; uniform actions to `warm_up`."""
 
     in_keys = ["observation"]
     out_keys = ["action"]
 
-    def __init__(self, actor: Actor) -> None:
+    def __init__(self, actor: Actor, warm_up: bool) -> None:
         super().__init__()
-        self.actor = actor
-        self.warming_up = True
+        self._actor, self._warm_up = deepcopy(actor), warm_up
+        self._generator = seeded()
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write `action` [N, A]."""
-        loc, scale = self.actor(tensordict["observation"])
-        if self.warming_up:
-            action = self.actor.action_scale * (torch.rand_like(loc) * 2 - 1)
-        else:
-            action = self.actor.squashed(loc + scale * torch.randn_like(loc))
-        return tensordict.set("action", action)
+        loc, scale = self._actor(tensordict["observation"])
+        if self._warm_up:
+            uniform = torch.rand(loc.shape, generator=self._generator) * 2 - 1
+            return tensordict.set("action", self._actor.action_scale * uniform)
+        noise = torch.randn(loc.shape, generator=self._generator)
+        return tensordict.set("action", self._actor.squashed(loc + scale * noise))
 
 
 class SAC(Agent):
     """SAC on TorchRL; see the module's docstring."""
+
+    off_policy = True
 
     def __init__(self, config: SACConfig, spaces: Spaces, threads: int = 1) -> None:
         self.config = config
@@ -111,7 +114,6 @@ class SAC(Agent):
             config.batch_size,
             threads,
         )
-        self._policy = RolloutPolicy(self.actor)
         self._buffer = TensorDictReplayBuffer(
             storage=LazyTensorStorage(config.buffer_size)
         )
@@ -124,7 +126,7 @@ class SAC(Agent):
 
     def policy(self) -> TensorDictModuleBase:
         """Uniform at first, then samples of the actor."""
-        return self._policy
+        return RolloutPolicy(self.actor, self._seen < self.config.random_steps)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Store the rollout [N, T]; then as many updates as its steps call for."""
@@ -134,7 +136,6 @@ class SAC(Agent):
         self._seen += len(flat)
         if self._seen < config.random_steps:
             return {}
-        self._policy.warming_up = False
         self._owed += len(flat) * config.updates_per_step
         logged: dict[str, float] = {}
         count, self._owed = int(self._owed), self._owed % 1
@@ -168,7 +169,6 @@ class SAC(Agent):
         self._buffer.writer._cursor = state["cursor"]
         self._seen, self._owed = state["seen"], state["owed"]
         self._updates = state["updates"]
-        self._policy.warming_up = self._seen < self.config.random_steps
 
     def _sample(self, batches: int) -> Sequence[Tensor]:
         size = self.config.batch_size

@@ -6,16 +6,16 @@ from typing import Any
 import torch
 
 from manip.agents.agent import Agent
-from manip.envs.native import NativeEnv
 from manip.errors import UserError, one_line
 from manip.files import load_tree, save_tree
+from manip.training.rollout import Collector
 
 FORMAT = 2
 """Version of the checkpoint file; raised when it changes incompatibly."""
 
 
 def save_checkpoint(
-    path: Path, agent: Agent, env: NativeEnv, progress: dict[str, Any]
+    path: Path, agent: Agent, collector: Collector, progress: dict[str, Any]
 ) -> None:
     """Write agent, worlds, random state and progress, whole or not at all."""
     save_tree(
@@ -26,13 +26,13 @@ def save_checkpoint(
             "modules": {name: m.state_dict() for name, m in agent.modules().items()},
             "optimisers": {n: o.state_dict() for n, o in agent.optimisers().items()},
             "agent": agent.extra_state(),
-            "env": env.save_state(),
+            "collector": collector.save_state(),
             "torch_rng": torch.get_rng_state(),
         },
     )
 
 
-def load_checkpoint(path: Path, agent: Agent, env: NativeEnv) -> dict[str, Any]:
+def load_checkpoint(path: Path, agent: Agent, collector: Collector) -> dict[str, Any]:
     """Put a saved state back into agent and worlds; returns the progress.
 
     Raises:
@@ -48,7 +48,7 @@ def load_checkpoint(path: Path, agent: Agent, env: NativeEnv) -> dict[str, Any]:
         for name, optimiser in agent.optimisers().items():
             optimiser.load_state_dict(tree["optimisers"][name])
         agent.load_extra_state(tree["agent"])
-        env.load_state(tree["env"])
+        collector.load_state(tree["collector"])
         torch.set_rng_state(tree["torch_rng"])
         progress: dict[str, Any] = tree["progress"]
     except (KeyError, RuntimeError, TypeError, ValueError) as error:

@@ -58,6 +58,8 @@ class TrainConfig:
     """Reward set: ours, or robosuite's own shaped reward."""
     threads: int | None = None
     """Threads of physics and learner; the CPUs this process may use unless given."""
+    overlap: bool = True
+    """Simulate and learn at the same time where the algorithm allows (SAC)."""
     eval_every: int = 10_000
     """Control steps between evaluations."""
     eval_episodes: int = 32

@@ -14,7 +14,7 @@ import torch
 import yaml
 
 from manip.errors import UserError
-from manip.evaluation.episodes import Episode, EpisodeTracker, run_episodes
+from manip.evaluation.episodes import Episode, run_episodes
 from manip.evaluation.report import summarise
 from manip.files import write_text
 from manip.training.build import (
@@ -27,7 +27,7 @@ from manip.training.checkpoint import load_checkpoint, save_checkpoint
 from manip.training.config import TrainConfig, to_dict
 from manip.training.logs import RunLog
 from manip.training.progress import TrainingProgress
-from manip.training.rollout import Rollout
+from manip.training.rollout import Collector
 from manip.versions import versions
 
 RECENT = 100
@@ -51,8 +51,8 @@ class Trainer:
         self.env = training_env(config)
         self.judge = evaluation_env(config)
         self.agent = build_agent(config, self.env)
-        self._rollout = Rollout(self.env, self.agent.policy())
-        self._tracker = EpisodeTracker(config.num_worlds)
+        ahead = config.overlap and self.agent.off_policy
+        self._collector = Collector(self.env, self.agent, ahead)
         self._recent: deque[Episode] = deque(maxlen=RECENT)
         self._learned: dict[str, float] = {}
         self.env_steps = 0
@@ -95,12 +95,10 @@ class Trainer:
             )
 
     def _advance(self) -> None:
-        batch = self._rollout.collect(self.agent.rollout_length, self._watch)
-        self.env_steps += batch.numel()
-        self._learned |= self.agent.update(batch)
-
-    def _watch(self, after: Any) -> None:
-        self._recent.extend(self._tracker.update(after))
+        found = self._collector.next()
+        self.env_steps += found.batch.numel()
+        self._recent.extend(found.episodes)
+        self._learned |= self.agent.update(found.batch)
 
     def _next_evaluation(self) -> int:
         every = self.config.eval_every
@@ -154,17 +152,15 @@ class Trainer:
             "best": list(self._best),
             "learned": self._learned,
             "recent": [asdict(episode) for episode in self._recent],
-            "tracker": self._tracker.save_state(),
         }
-        save_checkpoint(path, self.agent, self.env, progress)
+        save_checkpoint(path, self.agent, self._collector, progress)
 
     def _resume(self) -> None:
-        progress = load_checkpoint(self.latest, self.agent, self.env)
+        progress = load_checkpoint(self.latest, self.agent, self._collector)
         try:
             self._take_up(progress)
         except (KeyError, TypeError, ValueError) as error:
             raise UserError(f"{self.latest} is damaged: {error!r}") from error
-        self._rollout.state = self.env.look()
 
     def _take_up(self, progress: dict[str, Any]) -> None:
         self.env_steps = int(progress["env_steps"])
@@ -172,7 +168,6 @@ class Trainer:
         self._best = tuple(progress["best"])
         self._learned = progress["learned"]
         self._recent.extend(Episode(**episode) for episode in progress["recent"])
-        self._tracker.load_state(progress["tracker"])
 
     def _write_config(self) -> None:
         text = yaml.safe_dump(to_dict(self.config) | {"versions": versions()})
