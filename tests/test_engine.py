@@ -453,6 +453,7 @@ def test_an_engine_needs_worlds_and_threads(
     [
         (Sensors(bodies={"x": "cube_man"}), "unknown body 'cube_man'.*'cube_main'"),
         (Sensors(sites={"x": "grip"}), "unknown site 'grip'.*grip_site"),
+        (Sensors(joints={"x": "elbow"}), "unknown joint 'elbow'.*robot0_joint1"),
         (Sensors(touches={"x": ("pad", "cube_main")}), "unknown body 'pad'.*cube_main"),
         (
             Sensors(fields={"x": ("site_pos", "gaol")}),

@@ -23,6 +23,8 @@ class Sensors:
     bodies: name -> body; gives `<name>_pos` [3] m, `<name>_quat` [4] wxyz, and for a
         body on a free joint `<name>_linvel` [3] m/s, `<name>_angvel` [3] rad/s.
     sites: name -> site; gives `<name>_pos` [3] m.
+    joints: name -> hinge or slide joint; gives `<name>_qpos` [1] and `<name>_qvel` [1]
+        in rad and rad/s, or m and m/s.
     touches: name -> (side, side), a side being a geom group of the gripper (such as
         "left_fingerpad") or a body with all below it; gives `<name>` [1], 1 in touch.
     fields: name -> (model array, object), such as ("site_pos", "goal"): entries of
@@ -31,6 +33,7 @@ class Sensors:
 
     bodies: Mapping[str, str] = field(default_factory=dict)
     sites: Mapping[str, str] = field(default_factory=dict)
+    joints: Mapping[str, str] = field(default_factory=dict)
     touches: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     fields: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
@@ -175,7 +178,7 @@ def lookup(model: mujoco.MjModel, kind: str, name: str) -> int:
         model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), name
     )
     if found < 0:
-        count = getattr(model, f"n{kind}")
+        count = model.njnt if kind == "joint" else getattr(model, f"n{kind}")
         known = (getattr(model, kind)(i).name for i in range(count))
         raise unknown(kind, name, filter(None, known))
     return found
@@ -284,6 +287,8 @@ def _task_slots(model: mujoco.MjModel, sensors: Sensors) -> list[Slot]:
         slots.append(
             Slot(f"{name}_pos", "site_xpos", 3 * lookup(model, "site", site), 3)
         )
+    for name, joint in sensors.joints.items():
+        slots += _joint_slots(model, name, lookup(model, "joint", joint))
     return slots
 
 
@@ -298,6 +303,13 @@ def _body_slots(model: mujoco.MjModel, name: str, body: int) -> list[Slot]:
         slots.append(Slot(f"{name}_linvel", "qvel", dof, 3))
         slots.append(Slot(f"{name}_angvel", "qvel", dof + 3, 3))
     return slots
+
+
+def _joint_slots(model: mujoco.MjModel, name: str, joint: int) -> list[Slot]:
+    return [
+        Slot(f"{name}_qpos", "qpos", int(model.jnt_qposadr[joint]), 1),
+        Slot(f"{name}_qvel", "qvel", int(model.jnt_dofadr[joint]), 1),
+    ]
 
 
 def _field(model: mujoco.MjModel, name: str, array: str, target: str) -> Slot:
