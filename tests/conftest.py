@@ -40,6 +40,11 @@ def scene_of() -> SceneOf:
 
 
 @pytest.fixture(scope="session")
+def door() -> Task:
+    return load_task("Door")
+
+
+@pytest.fixture(scope="session")
 def lift() -> Task:
     return load_task("Lift")
 
@@ -47,6 +52,11 @@ def lift() -> Task:
 @pytest.fixture(scope="session")
 def reach() -> Task:
     return load_task("Reach")
+
+
+@pytest.fixture(scope="session")
+def door_scene(scene_of: SceneOf, door: Task) -> Scene:
+    return scene_of(door)
 
 
 @pytest.fixture(scope="session")

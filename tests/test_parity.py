@@ -9,10 +9,12 @@ from scipy.spatial.transform import Rotation
 from scripted import SCRIPTS
 from twin import reading, start_twin
 
+from manip.envs.registry import load_task, task_names
 from manip.envs.task import Task
 from manip.rewards.compose import weighted_sum
 from manip.sim.engine import BatchEngine
 from manip.sim.model import Scene, load_scene
+from manip.sim.reader import stock_reader
 from manip.sim.stock import CONTROL_FREQUENCIES, CONTROLLERS, ROBOTS
 
 Array = np.ndarray
@@ -22,6 +24,8 @@ JOINT_TOLERANCE = {"OSC_POSE": 1e-5, "JOINT_POSITION": 1e-12}
 
 WORLD = 37
 
+HELD_STEPS = 10
+
 
 class Moment(NamedTuple):
     """The same instant in stock robosuite and in a world of the engine [1, ...]."""
@@ -30,6 +34,7 @@ class Moment(NamedTuple):
     read: dict[str, Array]
     reward: float
     success: bool
+    touches: dict[str, Array]
     both_pads: bool
 
 
@@ -42,6 +47,7 @@ def play(
     """Take the same actions in stock and in one world; the others act at random."""
     stock = engine.scene.stock
     start_twin(task, engine, [world], seed)
+    read_stock = stock_reader(stock, task.sensors)
     rng = np.random.default_rng(seed)
     for step in range(steps):
         action = act(reading(engine, world), step)
@@ -54,6 +60,7 @@ def play(
             reading(engine, world),
             reward,
             bool(stock._check_success()),
+            {name: read_stock()[name] for name in task.sensors.touches},
             both_pads_touch(stock),
         )
 
@@ -77,33 +84,53 @@ def scripted_actions(task: Task) -> Act:
 Trace = list[Moment]
 
 
-@pytest.fixture(scope="module", params=CONTROLLERS)
-def random_trace(request, scene_of, lift: Task) -> tuple[str, Scene, Trace]:
+RANDOM_RUNS = (("Lift", "OSC_POSE"), ("Lift", "JOINT_POSITION"), ("Door", "OSC_POSE"))
+
+
+class Run(NamedTuple):
+    """A task, played in stock and in a world of the engine."""
+
+    task: Task
+    scene: Scene
+    trace: list[Moment]
+
+
+@pytest.fixture(scope="module", params=RANDOM_RUNS, ids="-".join)
+def random_run(request, scene_of) -> Run:
     """50 random steps in world 37 of 64, then a reset of it alone and 10 steps more."""
-    scene = scene_of(lift, controller=request.param)
+    task, controller = load_task(request.param[0]), request.param[1]
+    scene = scene_of(task, controller=controller)
     engine = BatchEngine(scene, 64, threads=2)
     act = random_actions(scene, seed=0)
     trace = [
-        *play(lift, engine, WORLD, 7, act, 50),
-        *play(lift, engine, WORLD, 8, act, 10),
+        *play(task, engine, WORLD, 7, act, 50),
+        *play(task, engine, WORLD, 8, act, 10),
     ]
-    return request.param, scene, trace
+    return Run(task, scene, trace)
+
+
+@pytest.fixture(scope="module", params=task_names())
+def script_run(request, scene_of) -> Run:
+    """A scripted episode in world 1 of 3, until it has held its success for a while."""
+    task = load_task(request.param)
+    scene = scene_of(task)
+    moments = play(task, BatchEngine(scene, 3), 1, 1, scripted_actions(task), 100)
+    trace, held = [], 0
+    while held < HELD_STEPS:
+        trace.append(next(moments))
+        held = (held + 1) * trace[-1].success
+    return Run(task, scene, trace)
 
 
 @pytest.fixture(scope="module")
-def lift_trace(lift: Task, lift_scene: Scene) -> Trace:
+def lift_trace(lift: Task, lift_scene: Scene) -> list[Moment]:
     engine = BatchEngine(lift_scene, 1)
     return list(play(lift, engine, 0, 1, scripted_actions(lift), 45))
 
 
-@pytest.fixture(scope="module")
-def reach_trace(reach: Task, reach_scene: Scene) -> Trace:
-    engine = BatchEngine(reach_scene, 3)
-    return list(play(reach, engine, 1, 2, scripted_actions(reach), 40))
-
-
-def test_joints_follow_stock(random_trace) -> None:
-    controller, _, trace = random_trace
+def test_joints_follow_stock(random_run: Run) -> None:
+    _, scene, trace = random_run
+    controller = "OSC_POSE" if scene.handles.arm.osc else "JOINT_POSITION"
     moved = np.ptp([at.stock["robot0_joint_pos"] for at in trace], axis=0)
     gaps = [at.read["joint_pos"][0] - at.stock["robot0_joint_pos"] for at in trace]
     assert moved.max() > 0.05
@@ -114,7 +141,9 @@ def wxyz_to_xyzw(quaternion: Array) -> Array:
     return quaternion[[1, 2, 3, 0]]
 
 
-READINGS: dict[str, Callable[[dict[str, Array], Scene], Array]] = {
+Reading = Callable[[dict[str, Array], Scene], Array]
+
+ROBOT_READINGS: dict[str, Reading] = {
     "robot0_joint_pos": lambda r, s: r["joint_pos"][0],
     "robot0_joint_vel": lambda r, s: r["joint_vel"][0],
     "robot0_joint_acc": lambda r, s: r["qacc"][0, s.handles.arm.dof],
@@ -122,77 +151,102 @@ READINGS: dict[str, Callable[[dict[str, Array], Scene], Array]] = {
     "robot0_eef_quat": lambda r, s: wxyz_to_xyzw(r["hand_quat"][0]),
     "robot0_gripper_qpos": lambda r, s: r["gripper_qpos"][0],
     "robot0_gripper_qvel": lambda r, s: r["gripper_qvel"][0],
-    "cube_pos": lambda r, s: r["cube_pos"][0],
-    "cube_quat": lambda r, s: wxyz_to_xyzw(r["cube_quat"][0]),
-    "gripper_to_cube_pos": lambda r, s: r["cube_pos"][0] - r["eef_pos"][0],
+}
+
+OBJECT_READINGS: dict[str, dict[str, Reading]] = {
+    "Door": {
+        "door_pos": lambda r, s: r["door_pos"][0],
+        "handle_pos": lambda r, s: r["handle_pos"][0],
+        "door_to_eef_pos": lambda r, s: r["door_pos"][0] - r["eef_pos"][0],
+        "handle_to_eef_pos": lambda r, s: r["handle_pos"][0] - r["eef_pos"][0],
+        "hinge_qpos": lambda r, s: r["hinge_qpos"][0, 0],
+        "handle_qpos": lambda r, s: r["handle_qpos"][0, 0],
+    },
+    "Lift": {
+        "cube_pos": lambda r, s: r["cube_pos"][0],
+        "cube_quat": lambda r, s: wxyz_to_xyzw(r["cube_quat"][0]),
+        "gripper_to_cube_pos": lambda r, s: r["cube_pos"][0] - r["eef_pos"][0],
+    },
+    "Reach": {
+        "goal_pos": lambda r, s: r["goal_pos"][0],
+        "gripper_to_goal_pos": lambda r, s: r["goal_pos"][0] - r["eef_pos"][0],
+    },
 }
 
 
-@pytest.mark.parametrize("name", READINGS)
-def test_readings_are_stock_observations(name: str, random_trace) -> None:
-    _, scene, trace = random_trace
-    ours = [READINGS[name](at.read, scene) for at in trace]
-    theirs = [at.stock[name] for at in trace]
-    np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5)
+def assert_reads_as_stock(run: Run, **tolerance: float) -> None:
+    for name, read in (ROBOT_READINGS | OBJECT_READINGS[run.task.name]).items():
+        ours = [read(at.read, run.scene) for at in run.trace]
+        theirs = [at.stock[name] for at in run.trace]
+        np.testing.assert_allclose(ours, theirs, err_msg=name, **tolerance)
 
 
-def test_a_reset_reads_as_stocks(lift: Task, lift_scene: Scene) -> None:
-    engine = BatchEngine(lift_scene, 2, threads=1)
+def test_readings_are_stock_observations(random_run: Run) -> None:
+    assert_reads_as_stock(random_run, rtol=1e-5, atol=1e-5)
+
+
+def test_every_observation_of_stocks_objects_is_compared(script_run: Run) -> None:
+    sensed = script_run.scene.stock._observables.items()
+    names = {name for name, sensed in sensed if sensed.modality == "object"}
+    assert names == OBJECT_READINGS[script_run.task.name].keys()
+
+
+def test_a_reset_reads_as_stocks(script_run: Run) -> None:
+    task, scene, _ = script_run
+    engine = BatchEngine(scene, 2, threads=1)
     engine.step(np.ones((2, 7)))
-    found = start_twin(lift, engine, [0], seed=5)
-    for name, read in READINGS.items():
-        ours = read(reading(engine, 0), lift_scene)
-        np.testing.assert_allclose(ours, found[name], rtol=0, atol=1e-12, err_msg=name)
+    found = start_twin(task, engine, [0], seed=5)
+    now = Moment(found, reading(engine, 0), 0.0, False, {}, False)
+    assert_reads_as_stock(Run(task, scene, [now]), rtol=0, atol=1e-12)
 
 
-def test_grip_site_is_turned_as_in_stock(random_trace) -> None:
-    _, _, trace = random_trace
+def test_grip_site_is_turned_as_in_stock(random_run: Run) -> None:
+    trace = random_run.trace
     ours = Rotation.from_matrix([at.read["eef_mat"].reshape(3, 3) for at in trace])
     theirs = Rotation.from_quat([at.stock["robot0_eef_quat_site"] for at in trace])
     assert (ours * theirs.inv()).magnitude().max() < 1e-5
 
 
-def stock_reward(task: Task, at: Moment) -> float:
-    terms = task.reward_terms(task.measure(at.read), "stock")
-    return float(weighted_sum(terms, task.weights["stock"])[0])
+def assert_pays_as_stock(run: Run) -> None:
+    task, weights = run.task, run.task.weights["stock"]
+    measured = [task.measure(at.read) for at in run.trace]
+    ours = [weighted_sum(task.reward_terms(m, "stock"), weights)[0] for m in measured]
+    theirs = [at.reward for at in run.trace]
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-5)
 
 
-def test_stock_reward_of_random_actions_is_robosuites(random_trace, lift: Task) -> None:
-    _, _, trace = random_trace
-    ours = [stock_reward(lift, at) for at in trace]
-    np.testing.assert_allclose(ours, [at.reward for at in trace], rtol=0, atol=1e-5)
+def test_stock_reward_of_random_actions_is_robosuites(random_run: Run) -> None:
+    assert_pays_as_stock(random_run)
 
 
-@pytest.mark.parametrize("name", ["lift", "reach"])
-def test_stock_reward_of_an_episode_is_robosuites(name: str, request) -> None:
-    task, trace = (request.getfixturevalue(f) for f in (name, f"{name}_trace"))
-    ours = [stock_reward(task, at) for at in trace]
-    np.testing.assert_allclose(ours, [at.reward for at in trace], rtol=0, atol=1e-5)
+def test_stock_reward_of_an_episode_is_robosuites(script_run: Run) -> None:
+    assert_pays_as_stock(script_run)
 
 
-@pytest.mark.parametrize("name", ["lift", "reach"])
-def test_success_comes_when_stock_says_so(name: str, request) -> None:
-    task, trace = (request.getfixturevalue(f) for f in (name, f"{name}_trace"))
+def test_success_comes_when_stock_says_so(script_run: Run) -> None:
+    task, trace = script_run.task, script_run.trace
     ours = [bool(task.success(task.measure(at.read))[0]) for at in trace]
     assert ours == [at.success for at in trace]
     assert (ours[0], ours[-1]) == (False, True)
 
 
-def test_touching_pads_are_stocks_grasp(lift_trace: Trace) -> None:
+def test_objects_follow_stock_through_an_episode(script_run: Run) -> None:
+    for at in script_run.trace:
+        for name, read in OBJECT_READINGS[script_run.task.name].items():
+            ours = read(at.read, script_run.scene)
+            np.testing.assert_allclose(ours, at.stock[name], 1e-4, 1e-5, err_msg=name)
+
+
+def test_touches_are_stocks(script_run: Run) -> None:
+    for name in script_run.task.sensors.touches:
+        ours = [at.read[name][0] for at in script_run.trace]
+        assert ours == [at.touches[name][0] for at in script_run.trace], name
+
+
+def test_touching_pads_are_stocks_grasp(lift_trace: list[Moment]) -> None:
     ours = [bool(at.read["left_touch"] * at.read["right_touch"]) for at in lift_trace]
     assert ours == [at.both_pads for at in lift_trace]
     assert (ours[0], ours[-1]) == (False, True)
-
-
-def test_a_carried_cube_stays_where_stock_has_it(lift_trace: Trace) -> None:
-    last = lift_trace[-1]
-    assert last.stock["cube_pos"][2] > 0.84
-    np.testing.assert_allclose(last.read["cube_pos"][0], last.stock["cube_pos"], 1e-5)
-
-
-def test_the_goal_is_stocks(reach_trace: Trace) -> None:
-    for at in reach_trace[0], reach_trace[-1]:
-        np.testing.assert_array_equal(at.read["goal_pos"][0], at.stock["goal_pos"])
 
 
 @pytest.mark.slow
@@ -225,5 +279,5 @@ def assert_follows_stock(task: Task, scene: Scene, steps: int) -> None:
     act = random_actions(scene, seed=0)
     for at in play(task, BatchEngine(scene, 2), 1, 4, act, steps):
         for name in "robot0_joint_pos", "robot0_eef_pos":
-            ours = READINGS[name](at.read, scene)
+            ours = ROBOT_READINGS[name](at.read, scene)
             np.testing.assert_allclose(ours, at.stock[name], rtol=0, atol=1e-5)

@@ -16,6 +16,7 @@ from manip.sim.handles import Sensors
 from manip.sim.model import Scene
 from manip.sim.reader import stock_reader
 from manip.sim.stock import reseed
+from tasks.door import Door
 from tasks.lift import Lift
 from tasks.scenes.reach import GOAL_HIGH, GOAL_LOW
 
@@ -23,7 +24,7 @@ Array = np.ndarray
 
 WORLDS = 12
 RANDOM_STEPS = 15
-SCRIPTED_STEPS = 45
+HELD_STEPS = 10
 
 REWARD_SETS = ("shaped", "stock")
 
@@ -59,9 +60,11 @@ def play(task: Task, scene: Scene) -> Play:
         random.append(copy(engine))
     start(task, engine, episode=1)
     scripted.append(copy(engine))
-    for _ in range(SCRIPTED_STEPS):
+    held = np.zeros(WORLDS, dtype=int)
+    while held.min() < HELD_STEPS and len(scripted) <= task.horizon:
         engine.step(SCRIPTS[task.name](task.measure(engine.read())))
         scripted.append(copy(engine))
+        held = (held + 1) * task.success(task.measure(engine.read()))
     assert engine.broken_count == 0
     return Play(random, scripted)
 
@@ -77,11 +80,13 @@ def copy(engine: BatchEngine) -> Measures:
 
 
 def imagined(read: Measures, sensors: Sensors, seed: int) -> Measures:
-    """Readings that no rollout gives: objects anywhere near the tool, any touch."""
+    """Readings that no rollout gives: objects near the tool, any angle, any touch."""
     rng, read = np.random.default_rng(seed), dict(read)
     for name in (*sensors.bodies, *sensors.sites):
         offset = rng.normal(size=(WORLDS, 3)) * 10 ** rng.uniform(-3, 0, (WORLDS, 1))
         read[f"{name}_pos"] = read["eef_pos"] + offset
+    for name in sensors.joints:
+        read[f"{name}_qpos"] = rng.uniform(-1.5, 1.5, (WORLDS, 1))
     for name in sensors.touches:
         read[name] = rng.integers(0, 2, WORLDS).astype(float)
     return read
@@ -131,7 +136,7 @@ def test_the_script_earns_more_than_chance(task: Task, play: Play) -> None:
         terms = [task.reward_terms(task.measure(read), "shaped") for read in reads]
         return float(np.mean([weighted_sum(t, task.weights["shaped"]) for t in terms]))
 
-    assert mean(play.scripted[-10:]) > mean(play.random) + 0.3
+    assert mean(play.scripted[-HELD_STEPS:]) > mean(play.random) + 0.3
 
 
 # Observations
@@ -221,7 +226,7 @@ def test_no_episode_starts_solved(task: Task, play: Play) -> None:
 
 def test_the_script_solves_every_episode(task: Task, play: Play) -> None:
     found = np.array([task.success(task.measure(read)) for read in play.scripted])
-    assert found[-10:].all()
+    assert found[-HELD_STEPS:].all()
 
 
 def test_stages_come_in_order(task: Task, play: Play) -> None:
@@ -288,6 +293,17 @@ def test_lift_places_its_cube_as_it_says(lift: Task, lift_scene: Scene) -> None:
     assert np.histogram(yaw, bins=12, range=(0, 2 * np.pi))[0].min() > 20
 
 
+def test_door_stands_where_it_says(door: Task, door_scene: Scene) -> None:
+    found = starts(door, door_scene, 500)
+    place, turn = found[:, -7:-4] - [-0.12, -0.35, 1.1], found[:, -4:]
+    assert np.abs(place[:, :2]).max() <= 0.01
+    np.testing.assert_allclose(np.ptp(place[:, :2], axis=0), 0.02, atol=0.001)
+    np.testing.assert_allclose(place[:, 2], 0, atol=1e-12)
+    yaw = np.rad2deg(2 * np.arctan2(turn[:, 3], turn[:, 0]))
+    assert -90 - np.rad2deg(0.25) <= yaw.min() < yaw.max() <= -90
+    assert np.ptp(yaw) > 14
+
+
 def test_reach_draws_its_goals_in_the_box(reach: Task, reach_scene: Scene) -> None:
     goals = starts(reach, reach_scene, 500)[:, -3:]
     assert ((goals >= GOAL_LOW) & (goals <= GOAL_HIGH)).all()
@@ -299,7 +315,7 @@ def test_reach_draws_its_goals_in_the_box(reach: Task, reach_scene: Scene) -> No
 
 
 def test_a_tasks_name_is_the_one_it_is_loaded_by() -> None:
-    assert {"Lift", "Reach"} <= set(task_names())
+    assert {"Door", "Lift", "Reach"} <= set(task_names())
     for name in task_names():
         assert load_task(name).name == name
 
@@ -309,6 +325,29 @@ def test_every_task_has_a_script() -> None:
 
 
 # Numbers stated in a task's docstring
+
+
+def test_door_pays_as_its_docstring_says() -> None:
+    handle = np.tile([0.0, -0.25, 1.07], (6, 1))
+    read = {
+        "handle_pos": handle,
+        "eef_pos": handle + np.outer([0.2, 0, 0, 0, 0, 0.2], [0, 1, 0]),
+        "handle_qpos": np.array([[0, 0.6, -1.2, 0, 0, 0]]).T,
+        "hinge_qpos": np.array([[0, 0, 0, 0.101, 0.29, 0.35]]).T,
+        "door_turn": np.tile([1.0, 0, 0, 0], (6, 1)),
+    }
+    task = Door()
+    m = task.measure(read)
+    shaped = weighted_sum(task.reward_terms(m, "shaped"), task.weights["shaped"])
+    far = 1 - np.tanh(1)
+    level = [0.15 * far, 0.3, 0.45, 0.45 + 0.55 * 0.101 / 0.35]
+    ajar = [0.45 + 0.55 * 0.29 / 0.35, 0.85 + 0.15 * far]
+    np.testing.assert_allclose(shaped, level + ajar)
+    assert task.success(m).tolist() == [False] * 5 + [True]
+    stock = weighted_sum(task.reward_terms(m, "stock"), task.weights["stock"])
+    turned = [0.25 + 0.25 * angle / (np.pi / 2) for angle in (0.6, 1.2)]
+    expected = [0.25 * (1 - np.tanh(2)), *turned, 0.25, 0.25, 1]
+    np.testing.assert_allclose(stock, expected)
 
 
 def test_lift_pays_as_its_docstring_says() -> None:
