@@ -38,7 +38,8 @@ def door(m: Measures) -> Array:
     panel = Rotation.from_quat(m["door_quat"], scalar_first=True).as_matrix()
     along, out = panel[:, :, 0], -panel[:, :, 1]
     offset = m["to_handle"] + 0.015 * out
-    closing = (np.linalg.norm(offset, axis=1) < 0.02) | (m["gripper_closing"] > 0.1)
+    kept = (m["gripper_closing"] > 0.1) & (m["distance"] < 0.1)
+    closing = kept | (np.linalg.norm(offset, axis=1) < 0.02)
     offset = np.where(closing[:, None], offset, _over(offset, out))
     angle, ajar = m["handle"][:, None], m["hinge"][:, None]
     turn = -0.1 * (np.sin(angle) * along + np.cos(angle) * UP)
@@ -54,7 +55,7 @@ def _over(offset: Array, out: Array) -> Array:
     """8 cm above the handle until it is below; 10 cm before it while too low."""
     aside = np.linalg.norm(offset[:, :2], axis=1, keepdims=True)
     offset = offset + np.where(aside > 0.03, 0.08, 0.0) * UP
-    low = (aside > 0.05) & (offset[:, 2:] > 0.02)
+    low = (aside > 0.05) & (offset[:, 2:] > 0.035)
     return offset + np.where(low, 0.1, 0.0) * out
 
 
