@@ -91,13 +91,13 @@ class Door(Task):
         }
 
     def observe(self, m: Measures) -> dict[str, Array]:
-        """The arm, then the door: place and turn, joints, handle from the tool."""
+        """The arm, then the door: place, turn, joints, handle from the tool."""
         return {
             **observe_arm(m, CENTRE),
             "door_place": 50.0 * (m["door_place"] - PLACE)[:, :2],
             "door_yaw": 8.0 * m["yaw"][:, None],
-            "hinge": 5.0 * m["hinge_qpos"],
-            "handle": m["handle_qpos"],
+            "hinge": np.hstack([5.0 * m["hinge_qpos"], m["hinge_qvel"]]),
+            "handle": np.hstack([m["handle_qpos"], 0.3 * m["handle_qvel"]]),
             "to_handle": np.clip(10.0 * m["to_handle"], -5.0, 5.0),
             "touch": np.stack([m["left_touch"], m["right_touch"]], axis=1),
         }
