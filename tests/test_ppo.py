@@ -12,8 +12,10 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 from toy import QUICK_PPO, Points, make_agent, mean_return, train
 
-from manip.agents.agent import Agent
-from manip.agents.ppo import PPOConfig, add_values
+from manip.agents import checked
+from manip.agents.agent import Agent, Spaces
+from manip.agents.ppo import PPO, PPOConfig, add_values
+from manip.agents.ppo_gradients import AutogradGradients, NativeGradients
 from manip.training.rollout import Rollout
 
 
@@ -124,6 +126,46 @@ def test_losses_are_the_clipped_objective_and_the_squared_error() -> None:
     torch.testing.assert_close(found["loss_objective"], -gain.mean())
     torch.testing.assert_close(found["loss_critic"], 0.5 * error)
     torch.testing.assert_close(found["loss_entropy"], -0.002 * entropy)
+
+
+def native_and_defined(monkeypatch: pytest.MonkeyPatch, config: PPOConfig, spaces):
+    """Two agents of the same weights; the second falls back on autograd."""
+    torch.manual_seed(0)
+    native = PPO(config, spaces, threads=2)
+    monkeypatch.setattr(checked, "TOLERANCE", -1.0)
+    with pytest.warns(UserWarning, match="native gradients differ"):
+        defined = PPO(config, spaces)
+    draw = torch.Generator().manual_seed(1)
+    native._params.data += 0.1 * torch.randn(native._params.shape, generator=draw)
+    native.actor.norm.update(3 * torch.randn(50, spaces.observation_dim) + 1)
+    loss_of(defined).load_state_dict(loss_of(native).state_dict())
+    return native, defined
+
+
+@pytest.mark.parametrize("size", [40, 128, 300])
+@pytest.mark.parametrize("scale", [(), (1.0, 0.5, 0.1)])
+def test_native_gradients_are_those_of_torchrls_loss(size, scale, monkeypatch) -> None:
+    config = replace(QUICK_PPO, action_scale=scale, critic_hidden=(16, 24))
+    both = native_and_defined(monkeypatch, config, Spaces(5, 3))
+    assert isinstance(both[0]._gradients, NativeGradients)
+    assert isinstance(both[1]._gradients, AutogradGradients)
+    state = torch.randn(size, 5)
+    mean, std = both[0].actor(state)
+    action = (mean + std * torch.randn_like(mean)).detach()
+    log_prob = Normal(mean, std).log_prob(action).sum(-1, keepdim=True).detach()
+    old = log_prob + 0.3 * torch.randn(size, 1)
+    rows = torch.cat([state, action, old, torch.randn(size, 2)], -1)
+    mine, expected = [agent._gradients(rows)._asdict() for agent in both]
+    assert 0.1 < mine["clip_fraction"] < 0.9
+    ratio = (log_prob - old).exp()
+    assert mine["kl"] == pytest.approx(
+        (ratio - 1 - ratio.log()).mean().item(), rel=1e-4
+    )
+    del mine["kl"], expected["kl"]
+    assert mine == pytest.approx(expected, rel=1e-4)
+    gradients = [agent._params.grad for agent in both]
+    assert gradients[1].abs().max() > 0
+    torch.testing.assert_close(*gradients, rtol=1e-4, atol=1e-6)
 
 
 def test_rollout_log_probabilities_are_the_losss_also_after_updates() -> None:

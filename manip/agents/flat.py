@@ -25,3 +25,9 @@ def flatten(parts: Sequence[Tensor], leading: int = 0) -> nn.Parameter:
             part.grad = flat.grad[..., at : at + width].view(part.shape)
         at += width
     return flat
+
+
+def zero_gradient(param: nn.Parameter) -> None:
+    """In place: others' gradients are views of it."""
+    assert param.grad is not None
+    param.grad.zero_()

@@ -1,14 +1,15 @@
 """Native passes of small networks: forward, and backward to gradients.
 
-A network is a row of dense layers y = W x + b, each but the last followed by ReLU or
-by LayerNorm (Ba et al. 2016, arXiv 1607.06450) and ReLU. Its parameters lie in one flat
-float32 array, layer after layer: W [out, in], b [out], and LayerNorm's gain and shift
-[out]. What a forward pass leaves on its tape is what the backward pass needs. Matrix
-products are BLAS calls (numba takes SciPy's); the rest runs once over rows in cache.
+A network is a row of dense layers y = W x + b, each but the last followed by ReLU,
+tanh, or LayerNorm (Ba et al. 2016, arXiv 1607.06450) and ReLU. Its parameters lie in
+one flat float32 array, layer after layer: W [out, in], b [out], and LayerNorm's gain
+and shift [out]. What a forward pass leaves on its tape is what the backward pass needs.
+Matrix products are BLAS calls (numba takes SciPy's); the rest runs once over rows in
+cache.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,30 +17,41 @@ from manip.compiled import fast_jit
 
 Array = np.ndarray
 
+RELU, TANH, NORM_RELU = range(3)
+"""What follows a hidden layer."""
+
 EPSILON = np.float32(1e-5)
 """Added to the variance (torch.nn.LayerNorm's default)."""
+
+ZERO, HALF, ONE, TWO = (np.float32(x) for x in (0, 0.5, 1, 2))
+LOG2_E = np.float32(1 / np.log(2))
+LOG_2_HIGH = np.float32(355 / 512)
+LOG_2_LOW = np.float32(np.log(2) - 355 / 512)
+"""log 2 in two parts: k times the high one is exact."""
+LIMIT = np.float32(40)
 
 
 class Layout(NamedTuple):
     """Where a network's parts lie.
 
     widths: [L + 1] of input, hidden layers and output; params_at, tape_at: [L] start of
-    each layer in the parameters and on the tape; normed: LayerNorm before each ReLU.
+    each layer in the parameters and on the tape; activation: RELU, TANH or NORM_RELU.
     """
 
     widths: Array
     params_at: Array
     tape_at: Array
-    normed: bool
+    activation: int
 
 
-def layout_of(widths: Sequence[int], normed: bool, rows: int) -> Layout:
+def layout_of(widths: Sequence[int], activation: int, rows: int) -> Layout:
     """The layout of a network with a tape for batches of up to `rows`."""
     inputs, outputs = np.array(widths[:-1]), np.array(widths[1:])
-    extra = np.where(np.arange(len(outputs)) < len(outputs) - 1, 2 * normed, 0)
+    hidden = np.arange(len(outputs)) < len(outputs) - 1
+    extra = np.where(hidden & (activation == NORM_RELU), 2, 0)
     sizes = outputs * (inputs + 1 + extra)
     tape = rows * (2 * outputs + 1)
-    return Layout(np.array(widths), _starts(sizes), _starts(tape), normed)
+    return Layout(np.array(widths), _starts(sizes), _starts(tape), activation)
 
 
 def tape_size(layout: Layout, rows: int) -> int:
@@ -75,12 +87,14 @@ def forward(params: Array, layout: Layout, x: Array, tape: Array, out: Array) ->
         y = _block(tape, to + rows * width, rows, width)
         deviation = tape[to + 2 * rows * width : to + 2 * rows * width + rows]
         np.dot(x, weight.T, z)
-        if layout.normed:
+        if layout.activation == NORM_RELU:
             gain = params[at + width : at + 2 * width]
             shift = params[at + 2 * width : at + 3 * width]
             _normalise(z, bias, gain, shift, deviation, y)
-        else:
+        elif layout.activation == RELU:
             _rectify(z, bias, y)
+        else:
+            _saturate(z, bias, y)
         x = y
 
 
@@ -109,7 +123,7 @@ def backward(
         _sum_rows(d_z, grads[at : at + width])
         if k > 0:
             d_y = _down(params, layout, tape, k, d_z, scratch[k % 2])
-            if layout.normed:
+            if layout.activation == NORM_RELU:
                 _norm_gradients(layout, tape, k - 1, d_y, grads)
                 _through_norm(params, layout, tape, k - 1, d_y)
             d_z = d_y
@@ -123,7 +137,7 @@ def backward_to_input(
     d_z = d_out
     for k in range(len(layout.widths) - 2, 0, -1):
         d_y = _down(params, layout, tape, k, d_z, scratch[k % 2])
-        if layout.normed:
+        if layout.activation == NORM_RELU:
             _through_norm(params, layout, tape, k - 1, d_y)
         d_z = d_y
     np.dot(d_z, _block(params, 0, layout.widths[1], layout.widths[0]), d_x)
@@ -133,14 +147,19 @@ def backward_to_input(
 def _down(
     params: Array, layout: Layout, tape: Array, k: int, d_z: Array, scratch: Array
 ) -> Array:
-    """From layer k's sums down through the ReLU below it: [B, width]."""
+    """From layer k's sums down through the ReLU or tanh below it: [B, width]."""
     width = layout.widths[k]
     d_y = _block(scratch, 0, len(d_z), width)
     np.dot(d_z, _block(params, layout.params_at[k], layout.widths[k + 1], width), d_y)
     y = _output(layout, tape, k - 1, len(d_z))
-    for i in range(len(d_y)):
-        for j in range(width):
-            d_y[i, j] = d_y[i, j] if y[i, j] > 0 else np.float32(0)
+    if layout.activation == TANH:
+        for i in range(len(d_y)):
+            for j in range(width):
+                d_y[i, j] *= ONE - y[i, j] * y[i, j]
+    else:
+        for i in range(len(d_y)):
+            for j in range(width):
+                d_y[i, j] = d_y[i, j] if y[i, j] > 0 else ZERO
     return d_y
 
 
@@ -169,7 +188,30 @@ def _sum_rows(values: Array, out: Array) -> None:
 def _rectify(z: Array, bias: Array, y: Array) -> None:
     for i in range(len(z)):
         for j in range(len(bias)):
-            y[i, j] = max(np.float32(0), z[i, j] + bias[j])
+            y[i, j] = max(ZERO, z[i, j] + bias[j])
+
+
+@fast_jit
+def _saturate(z: Array, bias: Array, y: Array) -> None:
+    """y = tanh(z + bias) = 1 - 2 / (exp(2 (z + bias)) + 1), to 1e-7."""
+    for i in range(len(z)):
+        for j in range(len(bias)):
+            y[i, j] = ONE - TWO / (_exp(TWO * (z[i, j] + bias[j])) + ONE)
+
+
+@fast_jit
+def _exp(x: Any) -> Any:
+    """exp(x) for |x| <= 40 (clipped), to 2e-7 of it; compilers vectorise it.
+
+    2^k exp(r) with k = round(x / log 2), and exp's power series for |r| <= 0.35.
+    """
+    x = min(max(x, -LIMIT), LIMIT)
+    k = np.floor(x * LOG2_E + HALF)
+    r = (x - k * LOG_2_HIGH) - k * LOG_2_LOW
+    series = ONE
+    for n in (7, 6, 5, 4, 3, 2, 1):
+        series = ONE + series * r / np.float32(n)
+    return series * np.int32((np.int32(k) + 127) << 23).view(np.float32)
 
 
 @fast_jit
@@ -180,7 +222,7 @@ def _normalise(
     width = np.float32(len(bias))
     for i in range(len(z)):
         row, out = z[i], y[i]
-        total, squares = np.float32(0), np.float32(0)
+        total, squares = ZERO, ZERO
         for j in range(len(bias)):
             row[j] += bias[j]
             total += row[j]
@@ -189,10 +231,10 @@ def _normalise(
             row[j] -= mean
             squares += row[j] * row[j]
         deviation[i] = np.sqrt(squares / width + EPSILON)
-        scale = np.float32(1) / deviation[i]
+        scale = ONE / deviation[i]
         for j in range(len(bias)):
             row[j] *= scale
-            out[j] = max(np.float32(0), row[j] * gain[j] + shift[j])
+            out[j] = max(ZERO, row[j] * gain[j] + shift[j])
 
 
 @fast_jit
@@ -225,13 +267,13 @@ def _through_norm(params: Array, layout: Layout, tape: Array, k: int, d: Array) 
     at = layout.params_at[k] + width * (layout.widths[k] + 1)
     gain = params[at : at + width]
     for i in range(rows):
-        mean, along = np.float32(0), np.float32(0)
+        mean, along = ZERO, ZERO
         for j in range(width):
             d[i, j] *= gain[j]
             mean += d[i, j]
             along += d[i, j] * unit[i, j]
         mean /= np.float32(width)
         along /= np.float32(width)
-        scale = np.float32(1) / deviation[i]
+        scale = ONE / deviation[i]
         for j in range(width):
             d[i, j] = (d[i, j] - mean - unit[i, j] * along) * scale

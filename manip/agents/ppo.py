@@ -15,17 +15,14 @@ from dataclasses import dataclass
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
-from torch import nn
+from torch import Tensor, nn
 from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from manip.agents.agent import Agent, Spaces
 from manip.agents.networks import Actor, RunningNorm, mlp, orthogonal, seeded
-
-TRAINED = ("observation", "action", "action_log_prob", "advantage", "value_target")
-
-LOGGED = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction")
+from manip.agents.ppo_gradients import Told, flatten_networks, gradients_of, rows_of
 
 
 @dataclass(frozen=True)
@@ -53,7 +50,7 @@ class PPOConfig:
     max_gradient: float = 1.0
     """Gradients are scaled down to this norm."""
     target_kl: float = 0.05
-    """A pass over the rollout is the last one when the policy has moved this far."""
+    """A pass is the last one when it moved the policy this far: mean KL divergence."""
     actor_hidden: tuple[int, ...] = (128, 128)
     """Widths of the actor's hidden layers."""
     critic_hidden: tuple[int, ...] = (128, 128)
@@ -87,7 +84,7 @@ class RolloutPolicy(TensorDictModuleBase):
 class PPO(Agent):
     """PPO on TorchRL; see the module's docstring."""
 
-    def __init__(self, config: PPOConfig, spaces: Spaces) -> None:
+    def __init__(self, config: PPOConfig, spaces: Spaces, threads: int = 1) -> None:
         self.config = config
         self.rollout_length = config.rollout_length
         self.actor = Actor(
@@ -101,9 +98,12 @@ class PPO(Agent):
         self._critic = _critic(config, spaces, self.actor.norm)
         self._loss = _loss(config, self.actor, self._critic)
         self._gae = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None)
-        self._params = list(self._loss.parameters())
+        self._params = flatten_networks(self.actor, self._critic)
+        self._gradients = gradients_of(
+            self._loss, self.actor, self._critic, self._params, threads
+        )
         self._optim = torch.optim.Adam(
-            self._params, config.learning_rate, eps=1e-5, fused=True
+            [self._params], config.learning_rate, eps=1e-5, fused=True
         )
 
     def policy(self) -> TensorDictModuleBase:
@@ -113,18 +113,16 @@ class PPO(Agent):
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Several epochs on the rollout [N, T]."""
         self._gae(add_values(batch, self._critic))
-        flat = batch.select(*TRAINED).reshape(-1)
-        size = -(-len(flat) // self.config.minibatches)
+        rows = rows_of(batch.reshape(-1))
+        size = -(-len(rows) // self.config.minibatches)
         for _ in range(self.config.epochs):
-            kls = [
-                self._learn(flat[rows])
-                for rows in torch.randperm(len(flat)).split(size)
-            ]
-            if sum(kls) / len(kls) > self.config.target_kl:
+            shuffled = rows[torch.randperm(len(rows))]
+            told = [self._learn(minibatch) for minibatch in shuffled.split(size)]
+            if sum(found.kl for found in told) / len(told) > self.config.target_kl:
                 break
         if isinstance(self.actor.norm, RunningNorm):
             self.actor.norm.update(batch["observation"])
-        return self._logged
+        return told[-1]._asdict()
 
     def modules(self) -> dict[str, nn.Module]:
         """The loss holds actor and critic."""
@@ -134,15 +132,11 @@ class PPO(Agent):
         """One for everything."""
         return {"all": self._optim}
 
-    def _learn(self, batch: TensorDictBase) -> float:
-        terms = self._loss(batch)
-        total = terms["loss_objective"] + terms["loss_entropy"] + terms["loss_critic"]
-        self._optim.zero_grad()
-        total.backward()
-        nn.utils.clip_grad_norm_(self._params, self.config.max_gradient)
+    def _learn(self, rows: Tensor) -> Told:
+        told = self._gradients(rows)
+        nn.utils.clip_grad_norm_([self._params], self.config.max_gradient)
         self._optim.step()
-        self._logged = {name: terms[name].item() for name in LOGGED}
-        return self._logged["kl_approx"]
+        return told
 
 
 @torch.no_grad()

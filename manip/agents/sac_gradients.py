@@ -1,21 +1,18 @@
 """Gradients of SAC's losses: as TorchRL defines them, and the same in native code."""
 
 import warnings
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple, Protocol
 
-import numpy as np
-import scipy.linalg.cython_blas  # noqa: F401 - loaded now, to be limited below
 import torch
 from tensordict import TensorDict, TensorDictBase
-from threadpoolctl import ThreadpoolController
 from torch import Tensor, nn
 from torchrl.objectives import SACLoss
 
-from manip.agents.flat import flatten
-from manip.agents.kernels import layout_of
+from manip.agents.checked import native_if_right
+from manip.agents.flat import flatten, zero_gradient
+from manip.agents.kernels import NORM_RELU, RELU, layout_of
 from manip.agents.networks import Actor, widths_of
+from manip.agents.parts import PART, Parts, parts_of
 from manip.agents.sac_kernels import (
     Nets,
     Work,
@@ -28,17 +25,6 @@ from manip.agents.sac_kernels import (
 # are views of flat ones.
 warnings.filterwarnings("ignore", "No target network updater")
 warnings.filterwarnings("ignore", "grad and param do not obey")
-
-PART = 128
-"""Rows of a batch that a thread takes at a time: fixed, so that sums come out alike."""
-
-TOLERANCE = 1e-3
-"""Native gradients may differ from autograd's by this part of their length."""
-
-
-Job = tuple[Nets, np.ndarray, np.ndarray, Work]
-Kernel = Callable[[Nets, np.ndarray, np.ndarray, Work], None]
-"""Gradients of a part of a batch: rows, noise, scratch; see `sac_kernels`."""
 
 
 class FlatParams(NamedTuple):
@@ -102,16 +88,22 @@ def sac_gradients(
     threads: int,
 ) -> Gradients:
     """Native gradients where they agree with autograd's, autograd's elsewhere."""
-    defined = AutogradGradients(loss, params, actor.observation_dim)
-    native = NativeGradients(_nets(loss, params, actor, gamma), params, batch, threads)
-    if _agree(native, defined, params, actor, batch):
-        return native
-    warnings.warn(
-        "native SAC gradients differ from TorchRL's on this machine: using the slower "
-        "ones of autograd",
-        stacklevel=2,
+    defined: Gradients = AutogradGradients(loss, params, actor.observation_dim)
+    native: Gradients = NativeGradients(
+        _nets(loss, params, actor, gamma), params, batch, threads
     )
-    return defined
+    states, actions = actor.observation_dim, len(actor.action_scale)
+    with torch.random.fork_rng():
+        rows = torch.randn(batch, 2 * states + actions + 3)
+    rows[:, states : states + actions].tanh_()
+    rows[:, -2:] = torch.tensor([1.0, 0.0])
+
+    def probe(gradients: Gradients) -> Tensor:
+        gradients.critic(rows)
+        gradients.actor(rows)
+        return params.gradient()
+
+    return native_if_right(native, defined, probe)
 
 
 def _nets(loss: SACLoss, params: FlatParams, actor: Actor, gamma: float) -> Nets:
@@ -120,30 +112,12 @@ def _nets(loss: SACLoss, params: FlatParams, actor: Actor, gamma: float) -> Nets
         actor=params.actor.data.numpy(),
         critics=params.critics.data.numpy(),
         targets=params.targets.data.numpy(),
-        actor_layout=layout_of(widths_of(actor.body), False, PART),
-        critic_layout=layout_of(widths_of(critic), True, PART),
+        actor_layout=layout_of(widths_of(actor.body), RELU, PART),
+        critic_layout=layout_of(widths_of(critic), NORM_RELU, PART),
         action_scale=actor.action_scale.numpy(),
         gamma=gamma,
         target_entropy=float(loss.target_entropy),
     )
-
-
-def _agree(
-    native: Gradients, defined: Gradients, params: FlatParams, actor: Actor, batch: int
-) -> bool:
-    """Whether both give the same gradients on random transitions."""
-    states, actions = actor.observation_dim, len(actor.action_scale)
-    found = []
-    with torch.random.fork_rng():
-        rows = torch.randn(batch, 2 * states + actions + 3)
-        rows[:, states : states + actions].tanh_()
-        rows[:, -2:] = torch.tensor([1.0, 0.0])
-        for gradients in (native, defined):
-            torch.manual_seed(0)
-            gradients.critic(rows)
-            gradients.actor(rows)
-            found.append(params.gradient())
-    return bool((found[0] - found[1]).norm() <= TOLERANCE * found[1].norm())
 
 
 class AutogradGradients:
@@ -155,14 +129,14 @@ class AutogradGradients:
 
     def critic(self, rows: Tensor) -> float:
         """See `Gradients`."""
-        _zero_gradient(self._params.critics)
+        zero_gradient(self._params.critics)
         loss, _ = self._loss.qvalue_v2_loss(self._batch(rows))
         loss.backward()
         return loss.item()
 
     def actor(self, rows: Tensor) -> tuple[float, float]:
         """See `Gradients`."""
-        _zero_gradient(self._params.actor)
+        zero_gradient(self._params.actor)
         loss, found = self._loss.actor_loss(self._batch(rows))
         log_prob = found["log_prob"]
         (loss + self._loss.alpha_loss(log_prob).mean()).backward()
@@ -187,58 +161,32 @@ class AutogradGradients:
         )
 
 
-def _zero_gradient(param: nn.Parameter) -> None:
-    """In place: the loss's own gradients are views of it."""
-    assert param.grad is not None
-    param.grad.zero_()
-
-
 class NativeGradients:
-    """The same in native code, on several threads.
-
-    A batch is cut into parts of a fixed size whose gradients are summed in order: the
-    result does not depend on the number of threads.
-    """
+    """The same in native code, on several threads, whatever their number."""
 
     def __init__(self, nets: Nets, params: FlatParams, batch: int, threads: int):
-        ThreadpoolController().select(internal_api="openblas").limit(limits=1)
         self._nets, self._params = nets, params
-        work = work_for(nets, -(-batch // PART), PART)
-        self._parts = [Work(*arrays) for arrays in zip(*work, strict=True)]
+        work = work_for(nets, parts_of(batch), PART)
+        self._found = work.found
         self._d_actor = torch.from_numpy(work.d_actor)
         self._d_critics = torch.from_numpy(work.d_critics)
-        self._found = work.found
-        self._threads = min(threads, len(self._parts))
-        self._pool = ThreadPoolExecutor(max(1, self._threads - 1), "manip-learn")
+        scratch = [Work(*arrays) for arrays in zip(*work, strict=True)]
+        self._parts = Parts(scratch, threads)
 
     def critic(self, rows: Tensor) -> float:
         """See `Gradients`."""
-        self._run(critic_gradients, rows)
+        self._parts.run(critic_gradients, self._nets, rows, self._noise(len(rows)))
         grad = torch.sum(self._d_critics, 0, out=self._params.critics.grad)
         grad.div_(len(rows))
         return float(self._found[:, 0].sum()) / len(rows)
 
     def actor(self, rows: Tensor) -> tuple[float, float]:
         """See `Gradients`."""
-        self._run(actor_gradients, rows)
+        self._parts.run(actor_gradients, self._nets, rows, self._noise(len(rows)))
         grad = torch.sum(self._d_actor, 0, out=self._params.actor.grad)
         grad.div_(len(rows))
         loss, log_prob = self._found.sum(0) / len(rows)
         return float(loss), float(log_prob)
 
-    def _run(self, gradients: Kernel, rows: Tensor) -> None:
-        noise = torch.randn(len(rows), len(self._nets.action_scale))
-        pieces = zip(rows.split(PART), noise.split(PART), self._parts, strict=True)
-        jobs = [(self._nets, r.numpy(), n.numpy(), work) for r, n, work in pieces]
-        others = [
-            self._pool.submit(_run_all, gradients, jobs[thread :: self._threads])
-            for thread in range(1, self._threads)
-        ]
-        _run_all(gradients, jobs[:: self._threads])
-        for other in others:
-            other.result()
-
-
-def _run_all(gradients: Kernel, jobs: Sequence[Job]) -> None:
-    for job in jobs:
-        gradients(*job)
+    def _noise(self, rows: int) -> Tensor:
+        return torch.randn(rows, len(self._nets.action_scale))

@@ -59,9 +59,10 @@ def build_agent(config: TrainConfig, env: NativeEnv) -> Agent:
     options = config.agent
     if config.controller != "OSC_POSE":
         options = replace(options, action_scale=())
+    threads = config.threads or usable_cpus()
     if isinstance(options, PPOConfig):
-        return PPO(options, spaces)
-    return SAC(options, spaces, config.threads or usable_cpus())
+        return PPO(options, spaces, threads)
+    return SAC(options, spaces, threads)
 
 
 def policy_of(agent: Agent, config: TrainConfig, env: NativeEnv, steps: int) -> Policy:
