@@ -20,6 +20,7 @@ from manip.files import write_text
 from manip.training.build import (
     build_agent,
     evaluation_env,
+    overlaps,
     policy_of,
     training_env,
 )
@@ -51,8 +52,7 @@ class Trainer:
         self.env = training_env(config)
         self.judge = evaluation_env(config)
         self.agent = build_agent(config, self.env)
-        ahead = config.overlap and self.agent.off_policy
-        self._collector = Collector(self.env, self.agent, ahead)
+        self._collector = Collector(self.env, self.agent, overlaps(config))
         self._recent: deque[Episode] = deque(maxlen=RECENT)
         self._learned: dict[str, float] = {}
         self.env_steps = 0
