@@ -6,26 +6,21 @@ positions of bodies and sites, and contacts, are one substep old after a step: t
 belong to the state before the last integration.
 """
 
-import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
 
 from manip.cpus import usable_cpus
 from manip.errors import UserError
-from manip.sim.control import Work, new_work
-from manip.sim.handles import Slot, with_joints
+from manip.sim.handles import with_joints
+from manip.sim.memory import ThreadMemory, thread_memory
 from manip.sim.model import Scene
-from manip.sim.native import Places, Plan, Sim, refresh_worlds, step_worlds
+from manip.sim.native import Plan, refresh_worlds, step_worlds
 
 Array = np.ndarray
-
-CHUNKS_PER_THREAD = 8
-"""Worlds are handed out in this many pieces a thread, so slow worlds do not stall."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +62,7 @@ class BatchEngine:
         self.control_dt = scene.control_dt
         self._plan = _plan(scene)
         self._fields_at = _fields_at(scene)
-        self._mine = [_thread_state(scene) for _ in range(self.threads)]
+        self._mine = [thread_memory(scene) for _ in range(self.threads)]
         self._pool = ThreadPoolExecutor(max(1, self.threads - 1), "manip-sim")
         self.states = np.tile(_default_state(scene), (num_worlds, 1))
         self._readings = np.zeros((num_worlds, _readings_width(scene)))
@@ -89,15 +84,24 @@ class BatchEngine:
             raise UserError(
                 f"action has shape {action.shape}, the engine needs {expected}"
             )
-        chunk = -(-self.num_worlds // (self.threads * CHUNKS_PER_THREAD))
-        starts = itertools.count(0, chunk)
-        others = [
-            self._pool.submit(self._work_through, starts, chunk, thread, action)
-            for thread in range(1, self.threads)
-        ]
-        self._work_through(starts, chunk, 0, action)
-        for other in others:
-            other.result()
+        arm, gripper = self.scene.handles.arm, self.scene.handles.gripper
+        counter = np.zeros(1, np.int64)
+
+        def work(mine: ThreadMemory) -> None:
+            step_worlds(
+                mine.sim,
+                self._plan,
+                arm,
+                gripper,
+                mine.work,
+                action,
+                self.states,
+                self._readings,
+                self.broken,
+                counter,
+            )
+
+        self._share(work, self.num_worlds)
         self.broken_count += int(self.broken.sum())
 
     def write(
@@ -148,6 +152,11 @@ class BatchEngine:
         self.states[worlds] = snapshot.states
         self._readings[worlds] = snapshot.readings
 
+    @property
+    def bytes_per_world(self) -> int:
+        """Memory that one more world takes: its state and its readings."""
+        return int(self.states[0].nbytes + self._readings[0].nbytes)
+
     def field_columns(self, name: str) -> slice:
         """Columns of `states` that hold a model field."""
         return _state_columns(self.scene)[name]
@@ -161,91 +170,23 @@ class BatchEngine:
             flat[slot.start : slot.start + slot.size] = values
         return model
 
-    def _work_through(
-        self, starts: Any, chunk: int, thread: int, action: Array
-    ) -> None:
-        sim, work = self._mine[thread].sim, self._mine[thread].work
-        scene = self.scene
-        for start in starts:
-            if start >= self.num_worlds:
-                return
-            stop = min(start + chunk, self.num_worlds)
-            step_worlds(
-                sim,
-                self._plan,
-                scene.handles.arm,
-                scene.handles.gripper,
-                work,
-                action,
-                self.states,
-                self._readings,
-                self.broken,
-                start,
-                stop,
+    def _refresh(self, worlds: Array) -> None:
+        counter = np.zeros(1, np.int64)
+
+        def work(mine: ThreadMemory) -> None:
+            refresh_worlds(
+                mine.sim, self._plan, self.states, self._readings, worlds, counter
             )
 
-    def _refresh(self, worlds: Array) -> None:
-        refresh_worlds(
-            self._mine[0].sim,
-            self._plan,
-            self.states,
-            self._readings,
-            worlds,
-        )
+        self._share(work, len(worlds))
 
-
-@dataclass(frozen=True)
-class _ThreadState:
-    """Keeps the MjModel and MjData alive whose memory `sim` points into."""
-
-    model: mujoco.MjModel
-    data: mujoco.MjData
-    sim: Sim
-    work: Work
-
-
-def _thread_state(scene: Scene) -> _ThreadState:
-    model = mujoco.MjModel.__copy__(scene.physics)
-    data = mujoco.MjData(model)
-    work = new_work(len(scene.handles.arm.dof))
-    command = np.zeros(len(scene.handles.gripper.actuator))
-    sim = Sim(
-        model=model._address,
-        data=data._address,
-        state=_places(
-            data.qpos,
-            data.qvel,
-            data.qacc_warmstart,
-            work.q0,
-            command,
-            *_runs(model, scene.handles.fields),
-        ),
-        slots=_places(*_runs(data, scene.handles.slots)),
-        command=command,
-        qpos=data.qpos,
-        qvel=data.qvel,
-        ctrl=data.ctrl,
-        mass=data.M,
-        bias=data.qfrc_bias,
-        cdof=data.cdof,
-        com=data.subtree_com,
-        site_xpos=data.site_xpos,
-        site_xmat=data.site_xmat,
-        found=data.sensordata,
-    )
-    return _ThreadState(model, data, sim, work)
-
-
-def _runs(owner: Any, slots: tuple[Slot, ...]) -> Iterator[Array]:
-    """Views of the entries that the slots name."""
-    for slot in slots:
-        flat = getattr(owner, slot.array).reshape(-1)
-        yield flat[slot.start : slot.start + slot.size]
-
-
-def _places(*runs: Array) -> Places:
-    addresses = [run.ctypes.data for run in runs]
-    return Places(np.array(addresses, np.int64), np.array([run.size for run in runs]))
+    def _share(self, work: Callable[[ThreadMemory], None], worlds: int) -> None:
+        """Run `work` on as many threads as there are worlds for."""
+        first, *rest = self._mine[: max(1, min(self.threads, worlds))]
+        others = [self._pool.submit(work, mine) for mine in rest]
+        work(first)
+        for other in others:
+            other.result()
 
 
 def _plan(scene: Scene) -> Plan:

@@ -18,6 +18,7 @@ from manip.sim.control import (
     osc_torque,
     pose_error,
 )
+from manip.sim.counter import take_number
 from manip.sim.handles import Arm, Gripper
 from manip.sim.libmujoco import mj_forward, mj_step1, mj_step2, mju_copy
 
@@ -67,7 +68,8 @@ class Plan(NamedTuple):
 
 
 @kernel
-def _load(row: Array, places: Places) -> None:
+def load(row: Array, places: Places) -> None:
+    """Put a row where its entries belong."""
     at = row.ctypes.data
     for k in range(len(places.size)):
         mju_copy(places.address[k], at, np.int32(places.size[k]))
@@ -201,6 +203,19 @@ def _drive_gripper(sim: Sim, gripper: Gripper, action: float) -> None:
 
 
 @kernel
+def control(
+    sim: Sim, arm: Arm, gripper: Gripper, w: Work, action: Array, substep: int
+) -> bool:
+    """Set ctrl between `mj_step1` and `mj_step2`; False if it would not be finite."""
+    _read_arm(sim, arm, w)
+    if substep == 0:
+        _latch(arm, w, action)
+        _drive_gripper(sim, gripper, action[-1])
+    _arm_torque(arm, w)
+    return _drive_arm(sim, arm, w)
+
+
+@kernel
 def _advance(
     sim: Sim, plan: Plan, arm: Arm, gripper: Gripper, w: Work, action: Array
 ) -> bool:
@@ -210,12 +225,7 @@ def _advance(
             return False
     for substep in range(plan.substeps):
         mj_step1(sim.model, sim.data)
-        _read_arm(sim, arm, w)
-        if substep == 0:
-            _latch(arm, w, action)
-            _drive_gripper(sim, gripper, action[-1])
-        _arm_torque(arm, w)
-        if not _drive_arm(sim, arm, w):
+        if not control(sim, arm, gripper, w, action, substep):
             return False
         mj_step2(sim.model, sim.data)
         if not (_within_limits(sim.qpos) and _within_limits(sim.qvel)):
@@ -234,12 +244,17 @@ def step_worlds(
     states: Array,
     readings: Array,
     broken: Array,
-    start: int,
-    stop: int,
+    counter: Array,
 ) -> None:
-    """Step worlds [start, stop); a broken one keeps its state and its readings."""
-    for world in range(start, stop):
-        _load(states[world], sim.state)
+    """Step the worlds that `counter` [1] hands out, one by one, to all who ask.
+
+    A broken world keeps its state and its readings.
+    """
+    while True:
+        world = take_number(counter.ctypes.data)
+        if world >= len(states):
+            return
+        load(states[world], sim.state)
         broken[world] = not _advance(sim, plan, arm, gripper, w, actions[world])
         if not broken[world]:
             _store(states[world], sim.state)
@@ -249,13 +264,21 @@ def step_worlds(
 
 @jit
 def refresh_worlds(
-    sim: Sim, plan: Plan, states: Array, readings: Array, worlds: Array
+    sim: Sim,
+    plan: Plan,
+    states: Array,
+    readings: Array,
+    worlds: Array,
+    counter: Array,
 ) -> None:
     """`mj_forward` on the given worlds, as robosuite does at the end of a reset."""
     for i in range(len(sim.ctrl)):
         sim.ctrl[i] = 0.0
-    for i in range(len(worlds)):
-        _load(states[worlds[i]], sim.state)
+    while True:
+        i = take_number(counter.ctypes.data)
+        if i >= len(worlds):
+            return
+        load(states[worlds[i]], sim.state)
         mj_forward(sim.model, sim.data)
         _store(states[worlds[i]], sim.state)
         _store(readings[worlds[i]], sim.slots)
