@@ -17,6 +17,7 @@ TOWER = (
     {"envs"},
     {"agents", "evaluation"},
     {"training"},
+    {"benchmarks"},
     {"programs"},
 )
 """Rooms of manip from the bottom up; those of a floor do not know each other."""
@@ -31,6 +32,7 @@ HOME = {
     "robosuite": ("manip/sim/stock.py", "tasks/scenes"),
     "dm_control": (),
     "tyro": ("manip/programs",),
+    "envpool": ("manip/benchmarks",),
 }
 """Library -> the only places that import it."""
 

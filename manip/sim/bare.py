@@ -3,23 +3,91 @@
 from collections.abc import Callable
 
 import mujoco
+import numpy as np
+from mujoco.rollout import Rollout
 
-from manip.sim.model import Scene
+from manip.compiled import jit
+from manip.sim.control import Work
+from manip.sim.engine import BatchEngine
+from manip.sim.handles import Arm, Gripper
+from manip.sim.libmujoco import mj_step1, mj_step2
+from manip.sim.memory import thread_memory
+from manip.sim.native import Sim, control, load
+
+Array = np.ndarray
 
 
-def bare_physics(scene: Scene, steps: int) -> Callable[[], int]:
-    """A function that runs `mj_step` alone from the start pose, without control.
+def bare_physics(
+    engine: BatchEngine, actions: Array, threads: int
+) -> Callable[[], Array]:
+    """A function that repeats in `mujoco.rollout`, in C, what the engine would do.
+
+    The controls of every substep are recorded beforehand, so that the repetition meets
+    the same contacts and computes no control law.
+
+    Args:
+        engine: its worlds as they are now are the start; they stay as they are.
+        actions: [T, N, A], the control steps to take.
+        threads: that the rollout runs on.
 
     Returns:
-        A function that takes `steps` control steps' worth of substeps and returns
-        their number.
+        A function that takes T control steps of all worlds and returns qpos [N, nq],
+        where they end.
     """
-    data = mujoco.MjData(scene.physics)
+    model = engine.scene.physics
+    nq, nv = model.nq, model.nv
+    controls = _recorded(engine, actions)
+    starts = np.zeros((engine.num_worlds, 1 + nq + nv))  # the first is the time
+    starts[:, 1:] = engine.states[:, : nq + nv]
+    warmstart = engine.states[:, nq + nv : nq + 2 * nv].copy()
+    states = np.zeros((*controls.shape[:2], 1 + nq + nv))
+    sensordata = np.zeros((*controls.shape[:2], model.nsensordata))
+    pool = Rollout(nthread=threads if threads > 1 else 0)
+    datas = [mujoco.MjData(model) for _ in range(threads)]
 
-    def run() -> int:
-        mujoco.mj_resetData(scene.physics, data)
-        data.qpos[:] = scene.handles.qpos
-        mujoco.mj_step(scene.physics, data, nstep=steps * scene.substeps)
-        return steps
+    def run() -> Array:
+        pool.rollout(
+            model,
+            datas,
+            starts,
+            controls,
+            initial_warmstart=warmstart,
+            state=states,
+            sensordata=sensordata,
+        )
+        return states[:, -1, 1 : 1 + nq]
 
     return run
+
+
+def _recorded(engine: BatchEngine, actions: Array) -> Array:
+    """Controls [N, T * substeps, nu] that the engine would apply."""
+    scene = engine.scene
+    memory = thread_memory(scene)
+    shape = engine.num_worlds, len(actions) * scene.substeps, scene.physics.nu
+    controls = np.zeros(shape)
+    arm, gripper = scene.handles.arm, scene.handles.gripper
+    _record(memory.sim, arm, gripper, memory.work, actions, engine.states, controls)
+    return controls
+
+
+@jit
+def _record(
+    sim: Sim,
+    arm: Arm,
+    gripper: Gripper,
+    w: Work,
+    actions: Array,
+    states: Array,
+    controls: Array,
+) -> None:
+    substeps = controls.shape[1] // len(actions)
+    for world in range(len(states)):
+        load(states[world], sim.state)
+        for substep in range(controls.shape[1]):
+            action = actions[substep // substeps, world]
+            mj_step1(sim.model, sim.data)
+            control(sim, arm, gripper, w, action, substep % substeps)
+            for k in range(len(sim.ctrl)):
+                controls[world, substep, k] = sim.ctrl[k]
+            mj_step2(sim.model, sim.data)

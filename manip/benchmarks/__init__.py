@@ -1,0 +1,1 @@
+"""Benchmarks: one file each, all held as contests whose contestants take turns."""
