@@ -15,7 +15,7 @@ CHECK := -c 'import sys; v = sys.version_info[:2]; sys.exit(v < (3, 11) and \
 	there is one, and name another Python: make setup PYTHON=python3.12" % ((sys.executable,) + v))'
 
 .DEFAULT_GOAL := help
-.PHONY: help setup test test-slow lint format demo lock clean
+.PHONY: help setup peers test test-slow lint format demo lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-10s  %s\n", $$1, $$2 }' Makefile
@@ -37,6 +37,14 @@ $(STAMP): $(BIN)/python
 $(BIN)/python:
 	@$(PYTHON) $(CHECK)
 	$(PYTHON) -m venv --clear .venv
+
+# By name: pip would resolve robosuite's own requirements along with manip[peers], and
+# those contradict the lock. Not in the lock itself, which `make setup` installs whole.
+PEERS = $(BIN)/python -c 'import tomllib; \
+	print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["peers"])'
+
+peers: setup ## Install the libraries that manip benchmark compares with
+	$(PIP) install --quiet --constraint requirements.lock $$($(PEERS))
 
 test: setup ## Run the fast tests
 	$(BIN)/python -m pytest

@@ -33,6 +33,8 @@ HOME = {
     "dm_control": (),
     "tyro": ("manip/programs",),
     "envpool": ("manip/benchmarks",),
+    "gymnasium": ("manip/benchmarks",),
+    "stable_baselines3": ("manip/benchmarks",),
 }
 """Library -> the only places that import it."""
 

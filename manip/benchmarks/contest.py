@@ -38,6 +38,7 @@ class Contest:
     contestants: by name, in the order of their turns; all measure in `unit`.
     ratios: figure -> (contestant over, contestant under).
     medians: figure -> contestant; facts: figure -> number that needs no rounds.
+    derive: further figures from all rounds.
     """
 
     title: str
@@ -47,6 +48,7 @@ class Contest:
     facts: dict[str, float] = field(default_factory=dict)
     unit: str = "control steps/s"
     warm_up: bool = True
+    derive: Callable[[dict[str, list[float]]], dict[str, float]] | None = None
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,9 @@ class Outcome:
             figure: float(np.median(self.rounds[name]))
             for figure, name in self.contest.medians.items()
         }
-        return ratios | medians | self.contest.facts
+        derive = self.contest.derive
+        derived = derive(self.rounds) if derive else {}
+        return ratios | medians | derived | self.contest.facts
 
 
 def hold(contest: Contest, rounds: int) -> Outcome:

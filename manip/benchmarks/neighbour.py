@@ -54,7 +54,7 @@ def _peer(worlds: int) -> Any:
     except ImportError as error:
         raise UserError(
             f"`manip benchmark neighbour` needs EnvPool ({error}): install the extra, "
-            "pip install 'manip[peers]'"
+            "`make peers`"
         ) from error
     threads = min(worlds, usable_cpus())
     return envpool.make_gym(

@@ -11,7 +11,7 @@ import tyro
 from manip.benchmarks.contest import Settings, hold, save, show
 from manip.envs.registry import load_task
 from manip.errors import UserError, at_least
-from manip.programs import cli
+from manip.programs import benchmark_task, cli
 
 
 @dataclass(frozen=True)
@@ -22,11 +22,13 @@ class Benchmark:
     env: TorchRL environment and collect loop with a policy, as a share of the engine.
     startup: seconds to the first control step, with cold and warm compile cache.
     scaling: speed against worlds, threads and size of the model (--plot FILE).
-    neighbour: EnvPool's PandaPickCube beside us (needs the `peers` extra).
+    learner: SAC updates and PPO epochs against other libraries (see `make peers`).
+    neighbour: EnvPool's PandaPickCube beside us (see `make peers`).
+    task: wall time until a task is learned; see `manip benchmark task --help`.
     """
 
     what: Annotated[
-        Literal["engine", "env", "startup", "scaling", "neighbour"],
+        Literal["engine", "env", "startup", "scaling", "learner", "neighbour"],
         tyro.conf.Positional,
     ]
     """Which benchmark."""
@@ -44,6 +46,8 @@ class Benchmark:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the benchmark and print its table."""
+    if list(arguments[:1]) == ["task"]:
+        return benchmark_task.main(arguments[1:])
     options = cli.parse(Benchmark, arguments, "manip benchmark")
     for name in ("worlds", "rounds"):
         at_least(1, f"--{name}", getattr(options, name))
