@@ -140,7 +140,7 @@ def test_without_the_extra_the_neighbour_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "envpool", None)
     assert cli.run(main, ["neighbour"]) == 2
-    assert "pip install 'manip[peers]'" in capsys.readouterr().err
+    assert "make peers" in capsys.readouterr().err
 
 
 @pytest.mark.slow
