@@ -4,12 +4,12 @@ Success: the hinge is turned by more than 0.3 rad (robosuite's test); it stops a
 Failure: none; an episode ends by time.
 Start: the door's place uniform within +-1 cm of its mean, its turn within 0.25 rad;
     door closed, handle level; arm in its default pose with 0.02 rad noise a joint.
-Shaped reward, in [0, 1] a step: 0.15 reach + 0.3 turn + 0.55 open, where reach is
-    1 - tanh(5 d) of the tool-handle distance d [m], turn rises linearly until the
-    handle is turned by 1.2 rad, up or down, which frees the latch, and open rises
-    linearly over the first 0.35 rad of the hinge. From 0.1 rad on, when the latch is
-    past the frame, reach and turn are paid in full. (Without it agents hurry back to
-    the handle of the open door, and push it shut.)
+Shaped reward, in [0, 1] a step: 0.1 reach + 0.2 turn + 0.4 open + 0.3 stay, where reach
+    is 1 - tanh(5 d) of the tool-handle distance d [m], turn rises linearly until the
+    handle is turned by 1.2 rad, up or down, which frees the latch, open rises linearly
+    over the first 0.35 rad of the hinge, and stay is success. From 0.1 rad on, when the
+    latch is past the frame, reach and turn are paid in full. (Without it agents hurry
+    back to the handle of the open door, and push it shut.)
 """
 
 from typing import ClassVar
@@ -61,7 +61,7 @@ class Door(Task):
     horizon = 100
     stages = ("near", "turned", "ajar", "open")
     weights: ClassVar[Weights] = {
-        "shaped": {"reach": 0.15, "turn": 0.3, "open": 0.55},
+        "shaped": {"reach": 0.1, "turn": 0.2, "open": 0.4, "stay": 0.3},
         "stock": {"reach": 0.25, "turn": 0.25, "open": 1.0},
     }
 
@@ -116,6 +116,7 @@ class Door(Task):
             "reach": np.maximum(near(m["distance"], 0.2), m["hinge"] > AJAR),
             "turn": np.maximum(ramp(turned, 0.0, FREE), m["hinge"] > AJAR),
             "open": ramp(m["hinge"], 0.0, 0.35),
+            "stay": self.success(m).astype(float),
         }
 
     def success(self, m: Measures) -> Array:
