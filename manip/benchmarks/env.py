@@ -19,6 +19,7 @@ from manip.training.rollout import Rollout
 
 def contest(settings: Settings) -> Contest:
     """Engine; TorchRL environment (observe, reward, reset); collect loop with SAC."""
+    torch.set_num_threads(1)  # as training does: torch's threads wait by spinning
     task, scene = settings.task, scene_of(settings.task)
     engine = started(task, scene, settings.worlds, usable_cpus())
     return Contest(
