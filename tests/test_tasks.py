@@ -340,8 +340,8 @@ def test_door_pays_as_its_docstring_says() -> None:
     m = task.measure(read)
     shaped = weighted_sum(task.reward_terms(m, "shaped"), task.weights["shaped"])
     far = 1 - np.tanh(1)
-    level = [0.15 * far, 0.3, 0.45, 0.45 + 0.55 * 0.101 / 0.35]
-    ajar = [0.45 + 0.55 * 0.29 / 0.35, 1]
+    level = [0.1 * far, 0.1 + 0.1, 0.1 + 0.2]
+    ajar = [0.3 + 0.4 * 0.101 / 0.35, 0.3 + 0.4 * 0.29 / 0.35, 1]
     np.testing.assert_allclose(shaped, level + ajar)
     assert task.success(m).tolist() == [False] * 5 + [True]
     stock = weighted_sum(task.reward_terms(m, "stock"), task.weights["stock"])
