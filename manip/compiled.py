@@ -59,10 +59,19 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     return numba.njit(function, no_cpython_wrapper=True, **_OPTIONS)
 
 
+_REORDERED = {"reassoc", "contract", "nsz", "arcp"}
+
+
 def fast_jit(function: Callable[..., Any]) -> Callable[..., Any]:
     """As `jit`, free to reorder sums: for learning, where no bit is to be matched.
 
     Infinities and NaN keep their meaning.
     """
-    options = {"reassoc", "contract", "nsz", "arcp"}
-    return numba.njit(function, cache=_CACHE, fastmath=options, **_OPTIONS)
+    return numba.njit(function, cache=_CACHE, fastmath=_REORDERED, **_OPTIONS)
+
+
+def fast_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile as a part of `fast_jit` functions, as `kernel` does for `jit`."""
+    return numba.njit(
+        function, no_cpython_wrapper=True, fastmath=_REORDERED, **_OPTIONS
+    )

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from manip.compiled import fast_jit
+from manip.compiled import fast_kernel
 
 Array = np.ndarray
 
@@ -63,12 +63,12 @@ def _starts(sizes: Array) -> Array:
     return np.concatenate([[0], np.cumsum(sizes)[:-1]])
 
 
-@fast_jit
+@fast_kernel
 def _block(flat: Array, at: int, rows: int, columns: int) -> Array:
     return flat[at : at + rows * columns].reshape(rows, columns)
 
 
-@fast_jit
+@fast_kernel
 def forward(params: Array, layout: Layout, x: Array, tape: Array, out: Array) -> None:
     """The network's output for x [B, in], into out [B, out]."""
     rows, last = len(x), len(layout.widths) - 2
@@ -98,7 +98,7 @@ def forward(params: Array, layout: Layout, x: Array, tape: Array, out: Array) ->
         x = y
 
 
-@fast_jit
+@fast_kernel
 def backward(
     params: Array,
     layout: Layout,
@@ -129,7 +129,7 @@ def backward(
             d_z = d_y
 
 
-@fast_jit
+@fast_kernel
 def backward_to_input(
     params: Array, layout: Layout, tape: Array, d_out: Array, scratch: Array, d_x: Array
 ) -> None:
@@ -143,7 +143,7 @@ def backward_to_input(
     np.dot(d_z, _block(params, 0, layout.widths[1], layout.widths[0]), d_x)
 
 
-@fast_jit
+@fast_kernel
 def _down(
     params: Array, layout: Layout, tape: Array, k: int, d_z: Array, scratch: Array
 ) -> Array:
@@ -163,20 +163,20 @@ def _down(
     return d_y
 
 
-@fast_jit
+@fast_kernel
 def _output(layout: Layout, tape: Array, k: int, rows: int) -> Array:
     width = layout.widths[k + 1]
     return _block(tape, layout.tape_at[k] + rows * width, rows, width)
 
 
-@fast_jit
+@fast_kernel
 def _add_to_rows(out: Array, bias: Array) -> None:
     for i in range(len(out)):
         for j in range(len(bias)):
             out[i, j] += bias[j]
 
 
-@fast_jit
+@fast_kernel
 def _sum_rows(values: Array, out: Array) -> None:
     out[:] = 0
     for i in range(len(values)):
@@ -184,14 +184,14 @@ def _sum_rows(values: Array, out: Array) -> None:
             out[j] += values[i, j]
 
 
-@fast_jit
+@fast_kernel
 def _rectify(z: Array, bias: Array, y: Array) -> None:
     for i in range(len(z)):
         for j in range(len(bias)):
             y[i, j] = max(ZERO, z[i, j] + bias[j])
 
 
-@fast_jit
+@fast_kernel
 def _saturate(z: Array, bias: Array, y: Array) -> None:
     """y = tanh(z + bias) = 1 - 2 / (exp(2 (z + bias)) + 1), to 1e-7."""
     for i in range(len(z)):
@@ -199,7 +199,7 @@ def _saturate(z: Array, bias: Array, y: Array) -> None:
             y[i, j] = ONE - TWO / (_exp(TWO * (z[i, j] + bias[j])) + ONE)
 
 
-@fast_jit
+@fast_kernel
 def _exp(x: Any) -> Any:
     """exp(x) for |x| <= 40 (clipped), to 2e-7 of it; compilers vectorise it.
 
@@ -214,7 +214,7 @@ def _exp(x: Any) -> Any:
     return series * np.int32((np.int32(k) + 127) << 23).view(np.float32)
 
 
-@fast_jit
+@fast_kernel
 def _normalise(
     z: Array, bias: Array, gain: Array, shift: Array, deviation: Array, y: Array
 ) -> None:
@@ -237,7 +237,7 @@ def _normalise(
             out[j] = max(ZERO, row[j] * gain[j] + shift[j])
 
 
-@fast_jit
+@fast_kernel
 def _norm_gradients(
     layout: Layout, tape: Array, k: int, d_y: Array, grads: Array
 ) -> None:
@@ -254,7 +254,7 @@ def _norm_gradients(
             d_shift[j] += d_y[i, j]
 
 
-@fast_jit
+@fast_kernel
 def _through_norm(params: Array, layout: Layout, tape: Array, k: int, d: Array) -> None:
     """Back through layer k's LayerNorm, in place: d by its output becomes d by its sum.
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from manip.agents.kernels import Layout, backward, forward, tape_size
-from manip.compiled import fast_jit
+from manip.compiled import fast_jit, fast_kernel
 
 Array = np.ndarray
 
@@ -115,7 +115,7 @@ def ppo_gradients(nets: Nets, rows: Array, work: Work) -> None:
     )
 
 
-@fast_jit
+@fast_kernel
 def _actor_row(
     nets: Nets, row: Array, log_scale: float, unit: Array, work: Work
 ) -> None:

@@ -17,7 +17,7 @@ from manip.agents.kernels import (
     tape_size,
 )
 from manip.agents.networks import MAX_LOG_STD, MIN_LOG_STD
-from manip.compiled import fast_jit
+from manip.compiled import fast_jit, fast_kernel
 
 Array = np.ndarray
 
@@ -173,14 +173,14 @@ def actor_gradients(nets: Nets, rows: Array, noise: Array, work: Work) -> None:
     work.d_actor[-1] = -(work.found[1] + n * np.float32(nets.target_entropy))
 
 
-@fast_jit
+@fast_kernel
 def _value(params: Array, nets: Nets, i: int, work: Work, pair: Array) -> None:
     """Critic i's Q(s, a) into value[i]."""
     out = work.value[i, : len(pair)]
     forward(params, nets.critic_layout, pair, work.critic_tape[i], out)
 
 
-@fast_jit
+@fast_kernel
 def _act(nets: Nets, state: Array, noise: Array, pair: Array, work: Work) -> None:
     """(s, a) into pair and log pi(a | s) into log_prob, with a = scale tanh(u).
 
@@ -207,7 +207,7 @@ def _act(nets: Nets, state: Array, noise: Array, pair: Array, work: Work) -> Non
         work.log_prob[r] = log_prob
 
 
-@fast_jit
+@fast_kernel
 def _tanh(u: float) -> tuple[float, float]:
     """tanh(u), and log(1 - tanh(u)^2) without cancellation."""
     e = np.exp(-TWO * abs(u))
@@ -216,7 +216,7 @@ def _tanh(u: float) -> tuple[float, float]:
     return (tanh if u > 0 else -tanh), log_slope
 
 
-@fast_jit
+@fast_kernel
 def _act_backward(
     nets: Nets, noise: Array, alpha: float, states: int, work: Work
 ) -> None:
