@@ -41,7 +41,7 @@ class Parts:
         pieces = zip(*(tensor.split(PART) for tensor in inputs), strict=True)
         jobs = [
             (shared, *(piece.numpy() for piece in part), scratch)
-            for part, scratch in zip(pieces, self._scratch, strict=False)
+            for part, scratch in zip(pieces, self._scratch, strict=True)
         ]
         others = [
             self._pool.submit(_run_all, kernel, jobs[thread :: self._threads])
