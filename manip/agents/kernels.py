@@ -8,7 +8,7 @@ Matrix products are BLAS calls (numba takes SciPy's); the rest runs once over ro
 cache.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,6 +57,11 @@ def layout_of(widths: Sequence[int], activation: int, rows: int) -> Layout:
 def tape_size(layout: Layout, rows: int) -> int:
     """Length of the tape for batches of up to `rows`."""
     return int(rows * (2 * layout.widths[1:-1] + 1).sum())
+
+
+def empty_parts(shapes: Mapping[str, tuple[int, ...]], parts: int) -> dict[str, Array]:
+    """Name -> zeros [parts, *shape], the scratch of so many parts of a batch."""
+    return {n: np.zeros((parts, *shape), np.float32) for n, shape in shapes.items()}
 
 
 def _starts(sizes: Array) -> Array:

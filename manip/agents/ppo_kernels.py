@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from manip.agents.kernels import Layout, backward, forward, tape_size
+from manip.agents.kernels import Layout, backward, empty_parts, forward, tape_size
 from manip.compiled import fast_jit, fast_kernel
 
 Array = np.ndarray
@@ -64,9 +64,7 @@ def work_for(nets: Nets, parts: int, rows: int) -> Work:
         "critic_tape": (tape_size(nets.critic_layout, rows),),
         "scratch": (2, rows * widest), "grads": nets.params.shape, "found": (4,),
     }  # fmt: skip
-    return Work(
-        **{name: np.zeros((parts, *s), np.float32) for name, s in shapes.items()}
-    )
+    return Work(**empty_parts(shapes, parts))
 
 
 @fast_jit

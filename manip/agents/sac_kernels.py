@@ -13,6 +13,7 @@ from manip.agents.kernels import (
     Layout,
     backward,
     backward_to_input,
+    empty_parts,
     forward,
     tape_size,
 )
@@ -83,9 +84,7 @@ def work_for(nets: Nets, parts: int, rows: int) -> Work:
         "std": (rows, actions), "slope": (rows, actions), "log_prob": (rows,),
         "d_actor": nets.actor.shape, "d_critics": nets.critics.shape, "found": (2,),
     }  # fmt: skip
-    return Work(
-        **{name: np.zeros((parts, *s), np.float32) for name, s in shapes.items()}
-    )
+    return Work(**empty_parts(shapes, parts))
 
 
 @fast_jit
