@@ -84,7 +84,12 @@ def scripted_actions(task: Task) -> Act:
 Trace = list[Moment]
 
 
-RANDOM_RUNS = (("Lift", "OSC_POSE"), ("Lift", "JOINT_POSITION"), ("Door", "OSC_POSE"))
+RANDOM_RUNS = (
+    ("Lift", "OSC_POSE"),
+    ("Lift", "JOINT_POSITION"),
+    ("Door", "OSC_POSE"),
+    ("Stack", "OSC_POSE"),
+)
 
 
 class Run(NamedTuple):
@@ -170,6 +175,15 @@ OBJECT_READINGS: dict[str, dict[str, Reading]] = {
     "Reach": {
         "goal_pos": lambda r, s: r["goal_pos"][0],
         "gripper_to_goal_pos": lambda r, s: r["goal_pos"][0] - r["eef_pos"][0],
+    },
+    "Stack": {
+        "cubeA_pos": lambda r, s: r["a_pos"][0],
+        "cubeA_quat": lambda r, s: wxyz_to_xyzw(r["a_quat"][0]),
+        "cubeB_pos": lambda r, s: r["b_pos"][0],
+        "cubeB_quat": lambda r, s: wxyz_to_xyzw(r["b_quat"][0]),
+        "cubeA_to_cubeB": lambda r, s: r["b_pos"][0] - r["a_pos"][0],
+        "gripper_to_cubeA": lambda r, s: r["a_pos"][0] - r["eef_pos"][0],
+        "gripper_to_cubeB": lambda r, s: r["b_pos"][0] - r["eef_pos"][0],
     },
 }
 
