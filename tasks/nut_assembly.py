@@ -223,7 +223,7 @@ class NutAssemblyRound(NutAssembly):
 
 
 class NutAssemblySquare(NutAssembly):
-    """The square nut over the square peg, 3.2 cm wide: it fits in four turns."""
+    """The square nut over the square peg, 3.2 cm wide: it fits best in four turns."""
 
     robosuite_name = "NutAssemblySquare"
     sensors = _sensors("SquareNut", "RoundNut", "peg1")

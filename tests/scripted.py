@@ -84,6 +84,43 @@ def door(m: Measures) -> Array:
     return action
 
 
+def nut_assembly(m: Measures) -> Array:
+    """Take the nut by its handle, carry it over the peg, down a little, and let go."""
+    heading = yaw(m["nut_mat"])
+    offset = m["to_handle"] + 0.008 * m["nut_mat"][:, [0, 3, 6]]
+    turn = np.arctan(np.tan(m["handle_turn"]))
+    apart = (np.linalg.norm(offset[:, :2], axis=1) > 0.01) | (np.abs(turn) > 0.15)
+    distance, on = np.linalg.norm(offset, axis=1), m["threaded"]
+    kept = (m["gripper_closing"] > -0.9) & (distance < 0.03)
+    closing = (kept | (distance < 0.008)) & ~on
+    offset[:, 2] += np.where(apart & ~closing, 0.05, 0.0)
+    carried = closing & m["grasped"] & (m["gripper_closing"] > 0.9)
+    offset = np.where(carried[:, None], _along_peg(m), offset) * ~on[:, None]
+    action = _towards(1.5 * offset, np.where(closing, 1.0, -1.0))
+    turn = np.where(carried, _sideways(heading) - heading, turn * ~closing)
+    action[:, 3:6] = _upright(m["eef_mat"], turn * ~on)
+    return action
+
+
+def _along_peg(m: Measures) -> Array:
+    """Up before the peg is near, then across, and down once 5 mm from its axis."""
+    far, low = m["aside"] > 0.005, (m["height"] < 0.965) & (m["aside"] < 0.15)
+    offset = m["to_peg"] * ~(far & low)[:, None]
+    offset[:, 2] = np.where(far, 0.985, 0.9) - m["height"]
+    return offset
+
+
+def _sideways(heading: Array) -> Array:
+    """The nearest quarter turn [rad] but straight ahead: there the arm is too short."""
+    return np.sign(heading) * np.where(np.abs(heading) < 0.75 * np.pi, 0.5, 1) * np.pi
+
+
+def _upright(eef_mat: Array, turn: Array) -> Array:
+    """Turn the tool's axis downwards, and the tool by `turn` [n] rad about it."""
+    tilt = np.cross(eef_mat[:, [2, 5, 8]], -UP)
+    return np.clip(SPIN * (tilt + turn[:, None] * UP), -1, 1)
+
+
 def _over(offset: Array, out: Array) -> Array:
     """8 cm above the handle until it is below; 10 cm before it while too low."""
     aside = np.linalg.norm(offset[:, :2], axis=1, keepdims=True)
@@ -106,4 +143,11 @@ def _towards(offset: Array, grip: Array) -> Array:
     return np.concatenate([np.clip(GAIN * offset, -1, 1), still, grip[:, None]], axis=1)
 
 
-SCRIPTS = {"Door": door, "Lift": lift, "Reach": reach, "Stack": stack}
+SCRIPTS = {
+    "Door": door,
+    "Lift": lift,
+    "NutAssemblyRound": nut_assembly,
+    "NutAssemblySquare": nut_assembly,
+    "Reach": reach,
+    "Stack": stack,
+}
