@@ -12,10 +12,9 @@ from torch import Tensor
 from torchrl.envs.utils import check_env_specs
 from twin import copy_start
 
-from manip.envs.native import NativeEnv
 from manip.envs.registry import load_task, task_names
-from manip.envs.stock import StockEnv
 from manip.envs.task import Start, Task
+from manip.envs.torchrl import NativeEnv, StockEnv
 from manip.errors import UserError
 from manip.rewards.compose import weighted_sum
 from manip.sim.handles import Sensors
@@ -117,13 +116,14 @@ def test_keys_and_shapes_are_as_stated(where: str, task: Task, scene: Scene) -> 
     env = (
         native(task, scene) if where == "native" else StockEnv(task, stock=scene.stock)
     )
-    n, width = env.num_worlds, max(part.stop for part in env.layout.values())
+    n = env.worlds.num_worlds
+    width = max(part.stop for part in env.worlds.layout.values())
     after = env.rollout(2)[:, -1]["next"]
     flag = (n, 1), torch.bool
     assert {name: (tuple(v.shape), v.dtype) for name, v in after.items()} == {
         "observation": ((n, width), torch.float32),
         "reward": ((n, 1), torch.float32),
-        "reward_terms": ((n, len(env.reward_names)), torch.float32),
+        "reward_terms": ((n, len(env.worlds.reward_names)), torch.float32),
         "success": flag, "terminated": flag, "truncated": flag, "done": flag,
         "stages": ((n, len(task.stages)), torch.bool),
     }  # fmt: skip
@@ -132,12 +132,13 @@ def test_keys_and_shapes_are_as_stated(where: str, task: Task, scene: Scene) -> 
 def test_the_layout_covers_the_observation(task: Task, scene: Scene) -> None:
     env = native(task, scene)
     observation = env.reset()["observation"].numpy()
-    parts = task.observe(task.measure(env.engine.read()))
-    ends = [0, *(part.stop for part in env.layout.values())]
-    assert [part.start for part in env.layout.values()] == ends[:-1]
+    parts = task.observe(task.measure(env.worlds.engine.read()))
+    layout = env.worlds.layout
+    ends = [0, *(part.stop for part in layout.values())]
+    assert [part.start for part in layout.values()] == ends[:-1]
     assert ends[-1] == observation.shape[1]
-    assert env.layout.keys() == parts.keys()
-    for name, part in env.layout.items():
+    assert layout.keys() == parts.keys()
+    for name, part in layout.items():
         np.testing.assert_array_equal(
             observation[:, part], parts[name].astype(np.float32)
         )
@@ -150,7 +151,7 @@ def test_the_reward_is_the_weighted_sum_of_its_terms(
     env = native(task, scene, reward=reward)
     after = env.rollout(5)["next"]
     weights = task.weights[reward]
-    assert env.reward_names == tuple(weights)
+    assert env.worlds.reward_names == tuple(weights)
     terms = dict(zip(weights, after["reward_terms"].unbind(-1), strict=True))
     torch.testing.assert_close(weighted_sum(terms, weights), after["reward"][..., 0])
 
@@ -173,11 +174,11 @@ def test_native_says_what_stock_says(reward: str, task: Task, scene: Scene) -> N
     ours = native(task, scene, 2, reward=reward)
     ours.reset()
     state = theirs.reset()
-    copy_start(task, ours.engine, range(2))
+    copy_start(task, ours.worlds.engine, range(2))
     assert_say_the_same(ours.look(), state, ("observation", "reward_terms"))
     chance, script = actions(10, 1), SCRIPTS[task.name]
     for step in range(task.horizon):
-        read = {k: v[:1] for k, v in ours.engine.read().items()}
+        read = {k: v[:1] for k, v in ours.worlds.engine.read().items()}
         move = script(task.measure(read)).astype(np.float32)
         move = chance[step] if step < len(chance) else torch.from_numpy(move)
         theirs_after = theirs.step(TensorDict(action=move, batch_size=[1]))["next"]
@@ -220,7 +221,7 @@ def test_a_time_limit_is_truncated_in_stock(lift: Task, lift_scene: Scene) -> No
 
 
 def test_the_default_horizon_is_the_tasks(lift: Task, lift_scene: Scene) -> None:
-    assert native(lift, lift_scene).horizon == lift.horizon
+    assert native(lift, lift_scene).worlds.horizon == lift.horizon
 
 
 def test_a_failure_is_terminated(tiny_scene: Scene) -> None:
@@ -280,19 +281,19 @@ def test_only_ended_worlds_start_again(tiny_scene: Scene) -> None:
     moves = torch.zeros(4, 3, 7)
     moves[:, 1, -1] = -1
     run(env, moves)
-    assert env.episode.tolist() == [0, 1, 0]
-    assert env.elapsed.tolist() == [4, 1, 4]
+    assert env.worlds.episode.tolist() == [0, 1, 0]
+    assert env.worlds.elapsed.tolist() == [4, 1, 4]
 
 
 def test_resetting_no_world_changes_nothing(lift: Task, lift_scene: Scene) -> None:
     env = native(lift, lift_scene, 2)
     run(env, actions(2, 2))
-    before = env.engine.save()
+    before = env.worlds.engine.save()
     nobody = torch.zeros(2, 1, dtype=torch.bool)
     env.reset(TensorDict({"_reset": nobody}, [2]))
-    np.testing.assert_array_equal(env.engine.states, before.states)
-    np.testing.assert_array_equal(env.engine.save().readings, before.readings)
-    assert env.elapsed.tolist() == [2, 2]
+    np.testing.assert_array_equal(env.worlds.engine.states, before.states)
+    np.testing.assert_array_equal(env.worlds.engine.save().readings, before.readings)
+    assert env.worlds.elapsed.tolist() == [2, 2]
 
 
 # Staggered starts
@@ -317,8 +318,8 @@ def test_staggered_worlds_end_at_different_times(tiny_scene: Scene) -> None:
 def test_staggering_moves_only_the_clock(task: Task, scene: Scene) -> None:
     plain, late = (native(task, scene, stagger=on) for on in (False, True))
     assert torch.equal(plain.reset()["observation"], late.reset()["observation"])
-    assert (plain.elapsed == 0).all()
-    assert (late.elapsed > 0).any()
+    assert (plain.worlds.elapsed == 0).all()
+    assert (late.worlds.elapsed > 0).any()
 
 
 def test_unstaggered_worlds_end_together(tiny_scene: Scene) -> None:
@@ -379,18 +380,18 @@ def test_restart_begins_the_first_episode_again(task: Task, scene: Scene) -> Non
     env = native(task, scene, 2)
     first = env.reset()["observation"]
     assert not torch.isclose(env.reset()["observation"], first).all()
-    env.restart()
+    env.worlds.restart()
     assert torch.equal(env.reset()["observation"], first)
 
 
 def test_a_saved_environment_goes_on_where_it_was(task: Task, scene: Scene) -> None:
     env, moves = native(task, scene, 3, horizon=4, seed=3), actions(9, 3)
     first = observed(env, moves[:6])
-    saved = env.save_state()
+    saved = env.worlds.save_state()
     rest = observed_from(env, moves[6:])
     other = native(task, scene, 3, horizon=4, seed=3)
     other.reset()
-    other.load_state(saved)
+    other.worlds.load_state(saved)
     assert torch.equal(other.look()["observation"], first[-1])
     assert torch.equal(observed_from(other, moves[6:]), rest)
 
@@ -427,8 +428,9 @@ def test_a_broken_world_is_cut_off_and_starts_again(
         expected = stacked(healthy, "next", key)
         assert torch.equal(found[:, [0, 2]], expected[:, [0, 2]])
     assert torch.equal(steps[2]["next", "observation"][1], steps[2]["observation"][1])
-    assert (ill.episode.tolist(), ill.elapsed.tolist()) == ([0, 1, 0], [4, 1, 4])
-    assert ill.engine.broken_count == 1
+    assert ill.worlds.episode.tolist() == [0, 1, 0]
+    assert ill.worlds.elapsed.tolist() == [4, 1, 4]
+    assert ill.worlds.engine.broken_count == 1
 
 
 def test_a_nan_action_is_cut_off_in_stock(lift: Task, lift_scene: Scene) -> None:
@@ -448,7 +450,7 @@ def test_a_hard_reset_is_read_from_its_new_simulation(lift: Task) -> None:
     for _ in range(2):
         observation = env.reset()["observation"][0]
         expected = stock_reader(stock, lift.sensors)()["cube_pos"][0]
-        shown = observation[env.layout["cube_pos"]].numpy()
+        shown = observation[env.worlds.layout["cube_pos"]].numpy()
         np.testing.assert_allclose(shown / 4 + [0, 0, 0.8], expected, atol=1e-6)
         sizes.add(float(stock.sim.model._model.geom("cube_g0").size[2]))
     assert len(sizes) == 2

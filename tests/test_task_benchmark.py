@@ -10,7 +10,7 @@ import pytest
 from manip.benchmarks import task as benchmark
 from manip.benchmarks.attempts import Attempt, figures, median_time, verdict
 from manip.envs.registry import load_task
-from manip.envs.stock import StockEnv
+from manip.envs.torchrl import StockEnv
 from manip.evaluation import evaluate
 from manip.evaluation.statistics import Rate
 from manip.programs import cli

@@ -196,7 +196,7 @@ def test_the_policy_kept_is_the_best_evaluated_one(algo, finished) -> None:
     assert checkpoint["progress"]["env_steps"] == card.env_steps
     assert_holds(checkpoint["modules"]["loss"], policy.actor.body[-1].weight)
     assert (card.task, card.robot, card.algo) == ("Reach", "Panda", algo)
-    assert list(card.layout) == list(run.env.layout)
+    assert list(card.layout) == list(run.env.worlds.layout)
 
 
 def test_evaluations_are_of_the_same_episodes(tmp_path: Path) -> None:

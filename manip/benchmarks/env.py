@@ -9,8 +9,8 @@ from manip.agents.sac import SACConfig
 from manip.benchmarks.contest import Contest, Settings, speed
 from manip.benchmarks.worlds import STEPS_A_ROUND, repeats, scene_of, started
 from manip.cpus import usable_cpus
-from manip.envs.native import NativeEnv
 from manip.envs.registry import load_task
+from manip.envs.torchrl import NativeEnv
 from manip.sim.model import Scene
 from manip.training.build import build_agent
 from manip.training.config import recipe
@@ -45,14 +45,14 @@ def _env(settings: Settings, scene: Scene) -> NativeEnv:
 
 def random_steps(env: NativeEnv) -> Callable[[], int]:
     """A function that resets an environment and acts at random in it."""
-    steps = max(2, STEPS_A_ROUND // env.num_worlds)
+    steps = max(2, STEPS_A_ROUND // env.worlds.num_worlds)
 
     def go() -> int:
         state = env.reset()
         for _ in range(steps):
             state["action"] = torch.rand(env.action_spec.shape) * 2 - 1
             _, state = env.step_and_maybe_reset(state)
-        return steps * env.num_worlds
+        return steps * env.worlds.num_worlds
 
     return go
 
@@ -64,10 +64,10 @@ def _collect(env: NativeEnv, task: str) -> Callable[[], int]:
     acting = replace(config.agent, random_steps=0)
     agent = build_agent(replace(config, agent=acting), env)
     rollout = Rollout(env)
-    length = max(2, STEPS_A_ROUND // env.num_worlds)
+    length = max(2, STEPS_A_ROUND // env.worlds.num_worlds)
 
     def go() -> int:
         rollout.collect(agent.policy(), length)
-        return length * env.num_worlds
+        return length * env.worlds.num_worlds
 
     return go

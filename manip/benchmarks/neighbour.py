@@ -15,8 +15,8 @@ from manip.benchmarks.contest import Contest, Settings, speed
 from manip.benchmarks.env import random_steps
 from manip.benchmarks.worlds import STEPS_A_ROUND, repeats, scene_of, started
 from manip.cpus import usable_cpus
-from manip.envs.native import NativeEnv
 from manip.envs.registry import load_task
+from manip.envs.torchrl import NativeEnv
 from manip.errors import UserError
 
 TASK = "PandaPickCube-v1"

@@ -11,15 +11,12 @@ from manip.envs.registry import load_task, task_names
 from manip.envs.task import Task
 
 if TYPE_CHECKING:
-    from manip.envs.native import NativeEnv
-    from manip.envs.stock import StockEnv
+    from manip.envs.torchrl import NativeEnv, StockEnv
 
 __all__ = ["NativeEnv", "StockEnv", "Task", "load_task", "task_names"]
 
-_ENVIRONMENTS = {"NativeEnv": "manip.envs.native", "StockEnv": "manip.envs.stock"}
-
 
 def __getattr__(name: str) -> Any:
-    if name in _ENVIRONMENTS:
-        return getattr(importlib.import_module(_ENVIRONMENTS[name]), name)
+    if name in ("NativeEnv", "StockEnv"):
+        return getattr(importlib.import_module("manip.envs.torchrl"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

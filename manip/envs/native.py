@@ -5,16 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from manip.envs.base import TaskEnv
 from manip.envs.streams import EpisodeStreams
 from manip.envs.task import Measures, Task
+from manip.envs.worlds import Worlds
 from manip.files import save_tree
 from manip.sim.engine import BatchEngine, Snapshot
 from manip.sim.model import Fidelity, Scene, load_scene
 
 
-class NativeEnv(TaskEnv):
-    """TorchRL environment of a task on the batch engine.
+class NativeWorlds(Worlds):
+    """Worlds of a task on the batch engine.
 
     Args:
         task: what is to be done.
@@ -27,7 +27,7 @@ class NativeEnv(TaskEnv):
         scene: a compiled scene to share, instead of building one.
         dumps: folder for the states of worlds that break, one file each (see
             `manip.files.load_tree`); nothing is kept unless given.
-        horizon, reward, seed: as in `TaskEnv`.
+        horizon, reward, seed: as in `Worlds`.
     """
 
     def __init__(

@@ -1,19 +1,19 @@
-"""A task inside a stock robosuite environment: the same keys, one world."""
+"""A task inside a stock robosuite environment: the same readings, one world."""
 
 from typing import Any
 
 import numpy as np
 
-from manip.envs.base import TaskEnv
 from manip.envs.task import Measures, Task
+from manip.envs.worlds import Worlds
 from manip.sim.reader import stock_reader
 from manip.sim.stock import make_stock, reseed
 
 Array = np.ndarray
 
 
-class StockEnv(TaskEnv):
-    """TorchRL environment of a task that steps `robosuite.make(...)` itself.
+class StockWorlds(Worlds):
+    """One world of a task, stepped by `robosuite.make(...)` itself.
 
     Mends what robosuite's GymWrapper gets wrong: the time limit is `truncated`,
     success is reported, and a seed fixes the episodes (episode e starts from
@@ -21,7 +21,7 @@ class StockEnv(TaskEnv):
 
     Args:
         task: what is to be done.
-        robot, controller, control_freq, horizon, reward, seed: as in `NativeEnv`.
+        robot, controller, control_freq, horizon, reward, seed: as in `NativeWorlds`.
         hard_reset: rebuild the model at every reset, as robosuite does by default;
             what it samples when it builds (Lift's cube size) then varies.
         stock: a robosuite environment to use, instead of making one.

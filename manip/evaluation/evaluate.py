@@ -9,9 +9,8 @@ from typing import Literal
 import torch
 
 from manip.cpus import usable_cpus
-from manip.envs.native import NativeEnv
 from manip.envs.registry import load_task
-from manip.envs.stock import StockEnv
+from manip.envs.torchrl import NativeEnv, StockEnv
 from manip.evaluation.episodes import Episode, Policy, run_episodes
 from manip.sim.model import Fidelity
 from manip.sim.stock import Rig

@@ -10,8 +10,8 @@ import tyro
 from tensordict import TensorDictBase
 
 from manip.agents.policy import load_policy
-from manip.envs.native import NativeEnv
 from manip.envs.registry import load_task
+from manip.envs.torchrl import NativeEnv
 from manip.errors import at_least
 from manip.evaluation.episodes import run_episodes
 from manip.programs import cli
@@ -76,27 +76,27 @@ class Recorder:
     """Keeps the worlds' states as they pass, and draws them afterwards."""
 
     def __init__(self, env: NativeEnv) -> None:
-        self._env = env
+        self._worlds = env.worlds
         self._states: list[Array] = []
         self._success: list[Array] = []
 
     def __call__(self, state: TensorDictBase) -> None:
         """Take in the worlds as they are now."""
-        self._states.append(self._env.engine.states.copy())
+        self._states.append(self._worlds.engine.states.copy())
         self._success.append(state["success"].squeeze(-1).numpy().copy())
 
     def frames(self, options: Render) -> Iterator[Array]:
         """Pictures [H, W, 3] uint8 of all episodes, one after the other."""
         states = np.stack(self._states)[: options.steps]
         success = np.stack(self._success)[: options.steps]
-        for world in range(self._env.num_worlds):
+        for world in range(self._worlds.num_worlds):
             captions = [
                 Caption(_words(world, step, bool(done)), bool(done))
                 for step, done in enumerate(success[:, world])
             ]
             yield from render_frames(
-                self._env.engine.visual_model(states[0, world]),
-                states[:, world, : self._env.scene.visual.nq],
+                self._worlds.engine.visual_model(states[0, world]),
+                states[:, world, : self._worlds.scene.visual.nq],
                 options.camera,
                 options.width,
                 options.height,

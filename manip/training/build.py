@@ -11,8 +11,8 @@ from manip.agents.policy import Policy, PolicyCard
 from manip.agents.ppo import PPO, PPOConfig
 from manip.agents.sac import SAC, SACConfig
 from manip.cpus import usable_cpus
-from manip.envs.native import NativeEnv
 from manip.envs.registry import load_task
+from manip.envs.torchrl import NativeEnv
 from manip.training.config import TrainConfig
 from manip.versions import versions
 
@@ -86,6 +86,7 @@ def share_threads(config: TrainConfig) -> tuple[int, int]:
 
 def policy_of(agent: Agent, config: TrainConfig, env: NativeEnv, steps: int) -> Policy:
     """The agent's policy as it is now, with all that an evaluator needs."""
+    layout = env.worlds.layout
     card = PolicyCard(
         task=config.task,
         robot=config.robot,
@@ -93,7 +94,7 @@ def policy_of(agent: Agent, config: TrainConfig, env: NativeEnv, steps: int) -> 
         controller=config.controller,
         control_freq=config.control_freq,
         action_dim=env.action_spec.shape[-1],
-        layout={name: [part.start, part.stop] for name, part in env.layout.items()},
+        layout={name: [part.start, part.stop] for name, part in layout.items()},
         hidden=list(config.agent.actor_hidden),
         squash=agent.actor.squash,
         normalise=isinstance(agent.actor.norm, RunningNorm),

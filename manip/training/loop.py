@@ -66,7 +66,7 @@ class Trainer:
     def run(self) -> bool:
         """Train to the end; False if it was stopped on the way (and saved)."""
         self._write_config()
-        stages = self.env.task.stages
+        stages = self.env.worlds.task.stages
         with (
             _Interruptible(self._stop),
             TrainingProgress(self.config.steps, self.env_steps, stages) as progress,
@@ -106,10 +106,10 @@ class Trainer:
 
     def _evaluate(self, progress: TrainingProgress) -> None:
         policy = policy_of(self.agent, self.config, self.env, self.env_steps)
-        self.judge.restart()
+        self.judge.worlds.restart()
         found = summarise(
             run_episodes(self.judge, policy, self.config.eval_episodes),
-            self.judge.task.stages,
+            self.judge.worlds.task.stages,
         )
         held, mean = found["success"]["held"].rate, found["return_mean"]
         values = {f"eval/{kind}": rate.rate for kind, rate in found["success"].items()}
@@ -127,7 +127,7 @@ class Trainer:
     def _record(self, values: dict[str, float], progress: TrainingProgress) -> None:
         speed = progress.speed(self.env_steps)
         row = {"seconds": self.seconds, "steps_per_second": speed}
-        row |= {"broken_worlds": self.env.engine.broken_count}
+        row |= {"broken_worlds": self.env.worlds.engine.broken_count}
         row |= self._training_averages() | values
         row |= {f"learn/{name}": value for name, value in self._learned.items()}
         self._log.write(self.env_steps, row)
@@ -141,7 +141,7 @@ class Trainer:
             "train/success": float(np.mean([e.at_end for e in self._recent])),
             **{
                 f"train/{name}": float(share)
-                for name, share in zip(self.env.task.stages, stages, strict=True)
+                for name, share in zip(self.env.worlds.task.stages, stages, strict=True)
             },
         }
 

@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from manip.agents.agent import Agent
-from manip.envs.native import NativeEnv
+from manip.envs.torchrl import NativeEnv
 from manip.evaluation.episodes import Episode, EpisodeTracker
 
 
@@ -72,7 +72,7 @@ class Collector:
         """Worlds, episodes under way, and the rollout that nobody has learned from."""
         waiting = self._under_way.result() if self._under_way else None
         return {
-            "env": self._env.save_state(),
+            "env": self._env.worlds.save_state(),
             "tracker": self._rollout.tracker.save_state(),
             "batch": waiting and waiting.batch.to_dict(),
             "episodes": waiting and [asdict(episode) for episode in waiting.episodes],
@@ -84,12 +84,12 @@ class Collector:
         Raises:
             ValueError: the state is of other worlds.
         """
-        self._env.load_state(state["env"])
+        self._env.worlds.load_state(state["env"])
         self._rollout.tracker.load_state(state["tracker"])
         self._rollout.state = self._env.look()
         self._under_way = None
         if state["batch"] is not None:
-            size = (self._env.num_worlds, self._agent.rollout_length)
+            size = (self._env.worlds.num_worlds, self._agent.rollout_length)
             batch = TensorDict(state["batch"], size)
             batch["next"].batch_size = size
             episodes = [Episode(**episode) for episode in state["episodes"]]

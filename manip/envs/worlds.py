@@ -1,0 +1,139 @@
+"""N worlds of a task, whatever steps them: their episodes, and what is seen of them.
+
+Plain numpy: what TorchRL, Gymnasium and dm_env see of a task are adaptors of this.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from manip.envs.task import Measures, Task
+from manip.rewards.compose import weighted_sum
+from manip.sim.stock import check_choice
+
+Array = np.ndarray
+
+
+class Moment(NamedTuple):
+    """N worlds at one instant; the observation [N, D] is float32, flags are [N] bool.
+
+    reward_terms and stages hold [N] under each name of the worlds' `reward_names` and
+    of task.stages. terminated: the task failed, there is no future; truncated: time is
+    up, or the world broke; bootstrap through it.
+    """
+
+    observation: Array
+    reward: Array
+    reward_terms: Mapping[str, Array]
+    success: Array
+    stages: Mapping[str, Array]
+    terminated: Array
+    truncated: Array
+
+    @property
+    def done(self) -> Array:
+        """[N] bool: the episode is over."""
+        return self.terminated | self.truncated
+
+
+class Worlds(ABC):
+    """Base of the worlds on the engine and in stock robosuite; subclasses move them.
+
+    Args:
+        task: what is to be done.
+        num_worlds: N.
+        action_dim: A.
+        horizon: episode length [control steps]; the task's own unless given.
+        reward: which of the task's reward sets is paid, "shaped" or "stock".
+        seed: of all episodes; episode e of world w depends on (seed, w, e) only.
+
+    Attributes:
+        layout: observation part -> slice of the observation vector.
+        elapsed: [N] control steps since each world's episode began.
+        episode: [N] number of each world's episode; -1 before the first.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        num_worlds: int,
+        action_dim: int,
+        horizon: int | None,
+        reward: str,
+        seed: int,
+    ) -> None:
+        check_choice("reward", reward, tuple(task.weights))
+        self.task = task
+        self.num_worlds = num_worlds
+        self.action_dim = action_dim
+        self.horizon = horizon or task.horizon
+        self.reward_set = reward
+        self.reward_names = tuple(task.weights[reward])
+        self.elapsed = np.zeros(num_worlds, dtype=np.int64)
+        self.layout = _layout(task.observe(task.measure(self._read())))
+        self.seed = seed
+        self.restart()
+
+    @abstractmethod
+    def _read(self) -> Measures:
+        """Current readings of all worlds."""
+
+    @abstractmethod
+    def _start_episodes(self, worlds: Array) -> None:
+        """Put the given worlds at the start of their episode `self.episode[worlds]`."""
+
+    @abstractmethod
+    def _move(self, action: Array) -> Array:
+        """Advance all worlds by one control step; [N] bool, the worlds that broke."""
+
+    def restart(self, seed: int | None = None) -> None:
+        """Begin anew: every world's next episode is the first of the seed."""
+        self.seed = self.seed if seed is None else seed
+        self.episode = np.full(self.num_worlds, -1, dtype=np.int64)
+
+    def begin(self, worlds: Array) -> None:
+        """Start the next episode in some worlds [n] int."""
+        self.episode[worlds] += 1
+        self.elapsed[worlds] = 0
+        if len(worlds):
+            self._start_episodes(worlds)
+
+    def step(self, action: Array) -> Moment:
+        """Advance all worlds by one control step of action [N, A] in [-1, 1]."""
+        broken = self._move(action)
+        self.elapsed += 1
+        return self._moment((self.elapsed >= self.horizon) | broken)
+
+    def look(self) -> Moment:
+        """The worlds as they are now, as an episode begins: nothing has ended."""
+        never = np.zeros(self.num_worlds, bool)
+        return self._moment(never)._replace(terminated=never)
+
+    def _moment(self, over: Array) -> Moment:
+        task = self.task
+        m = task.measure(self._read())
+        terms = task.reward_terms(m, self.reward_set)
+        terminated = task.failure(m)
+        return Moment(
+            observation=_joined(task.observe(m)),
+            reward=weighted_sum(terms, task.weights[self.reward_set]),
+            reward_terms=terms,
+            success=task.success(m),
+            stages=task.reached(m),
+            terminated=terminated,
+            truncated=over & ~terminated,
+        )
+
+
+def _layout(parts: Mapping[str, Array]) -> dict[str, slice]:
+    layout, at = {}, 0
+    for name, part in parts.items():
+        layout[name] = slice(at, at + part.shape[1])
+        at += part.shape[1]
+    return layout
+
+
+def _joined(parts: Mapping[str, Array]) -> Array:
+    return np.concatenate(list(parts.values()), axis=1, dtype=np.float32)
