@@ -1,24 +1,9 @@
-"""Files that are whole or absent, and that never run code when loaded.
+"""Files that are whole or absent."""
 
-A tree (nested dicts and lists of tensors, arrays, numbers and strings) becomes one
-safetensors file: tensors in the body, everything else as JSON in the header.
-"""
-
-import json
 import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
-
-from manip.errors import UserError
-
-_TENSOR, _ARRAY, _INT_KEYS = "$tensor", "$array", "$int_keys"
 
 
 def replace_file(path: Path, write: Callable[[Path], object]) -> None:
@@ -44,71 +29,6 @@ def write_text(path: Path, text: str) -> None:
     replace_file(path, lambda temporary: temporary.write_text(text))
 
 
-def save_tree(path: Path, tree: Any) -> None:
-    """Write a tree to one safetensors file, whole or not at all."""
-    tensors: dict[str, torch.Tensor] = {}
-    header = json.dumps(_flatten(tree, "", tensors))
-    replace_file(path, lambda to: save_file(tensors, to, {"tree": header}))
-
-
-def load_tree(path: Path) -> Any:
-    """Read what `save_tree` wrote.
-
-    Raises:
-        UserError: the file is missing, damaged or of another kind.
-    """
-    if not path.is_file():
-        raise UserError(f"there is no {path}")
-    try:
-        with safe_open(path, "pt") as file:
-            header = json.loads((file.metadata() or {})["tree"])
-            return _unflatten(header, file)
-    except (SafetensorError, KeyError, TypeError, ValueError) as error:
-        raise UserError(f"{path} is damaged or not a manip file: {error}") from error
-
-
 def _flush(path: Path) -> None:
     with path.open("rb") as file:
         os.fsync(file.fileno())
-
-
-def _flatten(node: Any, path: str, tensors: dict[str, torch.Tensor]) -> Any:
-    if isinstance(node, torch.Tensor):
-        name = f"{len(tensors)}{path}"
-        tensors[name] = node.detach().contiguous().clone()
-        return {_TENSOR: name}
-    if isinstance(node, np.ndarray):
-        name = f"{len(tensors)}{path}"
-        tensors[name] = torch.from_numpy(node.copy(order="C"))
-        return {_ARRAY: name}
-    if isinstance(node, dict):
-        int_keys = _has_int_keys(node)
-        children = {
-            str(key): _flatten(child, f"{path}/{key}", tensors)
-            for key, child in node.items()
-        }
-        return {_INT_KEYS: children} if int_keys else children
-    if isinstance(node, list | tuple):
-        return [_flatten(child, f"{path}/{i}", tensors) for i, child in enumerate(node)]
-    return node
-
-
-def _has_int_keys(node: dict[Any, Any]) -> bool:
-    kinds = {type(key) for key in node}
-    if not kinds <= {int} and not kinds <= {str}:
-        raise TypeError(f"keys must be all text or all integers, not {list(node)}")
-    return kinds == {int}
-
-
-def _unflatten(node: Any, file: Any) -> Any:
-    if isinstance(node, list):
-        return [_unflatten(child, file) for child in node]
-    if not isinstance(node, dict):
-        return node
-    if _TENSOR in node:
-        return file.get_tensor(node[_TENSOR])
-    if _ARRAY in node:
-        return file.get_tensor(node[_ARRAY]).numpy()
-    if _INT_KEYS in node:
-        return {int(k): _unflatten(v, file) for k, v in node[_INT_KEYS].items()}
-    return {key: _unflatten(child, file) for key, child in node.items()}

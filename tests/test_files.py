@@ -10,7 +10,8 @@ import torch
 from sameness import assert_same
 
 from manip.errors import UserError
-from manip.files import load_tree, replace_file, save_tree, write_text
+from manip.files import replace_file, write_text
+from manip.trees import load_tree, save_tree
 
 TREE = {
     "tensors": {"a": torch.arange(6.0).reshape(2, 3), "b": torch.tensor(True)},

@@ -12,6 +12,7 @@ ROOT = Path(__file__).parent.parent
 TOWER = (
     {"errors"},
     {"compiled", "cpus", "files", "versions"},
+    {"trees"},
     {"rewards"},
     {"sim"},
     {"envs"},

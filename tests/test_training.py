@@ -23,7 +23,6 @@ from manip.agents.policy import load_policy
 from manip.envs import native
 from manip.envs.registry import load_task, task_names
 from manip.errors import UserError
-from manip.files import load_tree, save_tree
 from manip.programs import cli, train
 from manip.sim.handles import Sensors
 from manip.sim.model import Scene, load_scene
@@ -38,6 +37,7 @@ from manip.training.config import (
 )
 from manip.training.logs import MetricsTable, read_metrics
 from manip.training.loop import Trainer
+from manip.trees import load_tree, save_tree
 
 AGENTS = {
     "ppo": {"rollout_length": 16, "minibatches": 2, "epochs": 2},

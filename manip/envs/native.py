@@ -8,7 +8,6 @@ import numpy as np
 from manip.envs.streams import EpisodeStreams
 from manip.envs.task import Measures, Task
 from manip.envs.worlds import Worlds
-from manip.files import save_tree
 from manip.sim.engine import BatchEngine, Snapshot
 from manip.sim.model import Fidelity, Scene, load_scene
 
@@ -26,7 +25,7 @@ class NativeWorlds(Worlds):
             all end at once.
         scene: a compiled scene to share, instead of building one.
         dumps: folder for the states of worlds that break, one file each (see
-            `manip.files.load_tree`); nothing is kept unless given.
+            `manip.trees.load_tree`); nothing is kept unless given.
         horizon, reward, seed: as in `Worlds`.
     """
 
@@ -56,8 +55,13 @@ class NativeWorlds(Worlds):
         action_dim = self.scene.handles.action_dim
         super().__init__(task, num_worlds, action_dim, horizon, reward, seed)
 
-    def _read(self) -> Measures:
+    def read(self) -> Measures:
+        """As `BatchEngine.read`."""
         return self.engine.read()
+
+    def visual_model(self, world: int) -> Any:
+        """A copy of the stock model with the world's model fields."""
+        return self.engine.visual_model(self.engine.states[world])
 
     def _start_episodes(self, worlds: np.ndarray) -> None:
         episodes = self.episode[worlds]
@@ -78,6 +82,8 @@ class NativeWorlds(Worlds):
 
     def _dump(self, folder: Path, world: int, action: np.ndarray) -> None:
         """Keep the state and the action from which a world broke."""
+        from manip.trees import save_tree  # which loads torch
+
         episode, step = int(self.episode[world]), int(self.elapsed[world])
         fault = {
             "task": self.task.name,

@@ -52,8 +52,13 @@ class StockWorlds(Worlds):
         action_dim = self.stock.action_dim
         super().__init__(task, 1, action_dim, horizon, reward, seed)
 
-    def _read(self) -> Measures:
+    def read(self) -> Measures:
+        """As `manip.sim.reader.stock_reader`."""
         return self._reader()
+
+    def visual_model(self, world: int) -> Any:
+        """The stock environment's own model."""
+        return self.stock.sim.model._model
 
     def _start_episodes(self, worlds: Array) -> None:
         reseed(self.stock, self.seed + int(self.episode[0]))

@@ -5,7 +5,7 @@ Plain numpy: what TorchRL, Gymnasium and dm_env see of a task are adaptors of th
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -72,13 +72,17 @@ class Worlds(ABC):
         self.reward_set = reward
         self.reward_names = tuple(task.weights[reward])
         self.elapsed = np.zeros(num_worlds, dtype=np.int64)
-        self.layout = _layout(task.observe(task.measure(self._read())))
+        self.layout = _layout(task.observe(task.measure(self.read())))
         self.seed = seed
         self.restart()
 
     @abstractmethod
-    def _read(self) -> Measures:
+    def read(self) -> Measures:
         """Current readings of all worlds."""
+
+    @abstractmethod
+    def visual_model(self, world: int) -> Any:
+        """MuJoCo model that draws a world's present episode (manip.sim.render)."""
 
     @abstractmethod
     def _start_episodes(self, worlds: Array) -> None:
@@ -113,7 +117,7 @@ class Worlds(ABC):
 
     def _moment(self, over: Array) -> Moment:
         task = self.task
-        m = task.measure(self._read())
+        m = task.measure(self.read())
         terms = task.reward_terms(m, self.reward_set)
         terminated = task.failure(m)
         return Moment(

@@ -3,7 +3,7 @@
 States are drawn after the fact, so nothing that simulates ever holds a GL context.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from copy import copy
 from dataclasses import dataclass
@@ -54,13 +54,13 @@ def hide_decorations(model: mujoco.MjModel) -> None:
 
 def render_frames(
     model: mujoco.MjModel,
-    states: np.ndarray,
+    states: Iterable[np.ndarray],
     camera: str = WORKSPACE,
     width: int = 640,
     height: int = 480,
     captions: Sequence[Caption] | None = None,
-) -> Iterator[np.ndarray]:
-    """Draw states [T, nq], giving T frames: uint8 [height, width, 3], in RGB.
+) -> Generator[np.ndarray, None, None]:
+    """Draw T states [nq], giving T frames: uint8 [height, width, 3], in RGB.
 
     The model is robosuite's full one; it is copied as it is now and left unchanged.
     Where an episode moves bodies or sites of the model, draw each episode by itself.
@@ -137,11 +137,11 @@ def _drawable(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjModel:
 
 def _draw(
     model: mujoco.MjModel,
-    states: np.ndarray,
+    states: Iterable[np.ndarray],
     view: mujoco.MjvCamera,
     width: int,
     height: int,
-) -> Iterator[np.ndarray]:
+) -> Generator[np.ndarray, None, None]:
     data = mujoco.MjData(model)
     options = _visual_only()
     with mujoco.Renderer(model, height, width) as renderer:

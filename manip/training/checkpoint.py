@@ -7,8 +7,8 @@ import torch
 
 from manip.agents.agent import Agent
 from manip.errors import UserError, one_line
-from manip.files import load_tree, save_tree
 from manip.training.rollout import Collector
+from manip.trees import load_tree, save_tree
 
 FORMAT = 2
 """Version of the checkpoint file; raised when it changes incompatibly."""
