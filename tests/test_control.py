@@ -133,6 +133,14 @@ def test_actions_move_the_goal_in_the_base_frame(seed: int) -> None:
     np.testing.assert_allclose(goal_r, turned, atol=1e-6)
 
 
+def test_without_turns_the_goal_keeps_the_tools_rotation() -> None:
+    w, action = placed(*a_pose(0)), np.array([1.0, -1, 0.5, 1])
+    latch_pose_goal(action, SCALE[:3], w)
+    goal_p, goal_r = latched(np.array([1.0, -1, 0.5, 0, 0, 0]), *a_pose(0))
+    np.testing.assert_array_equal(w.goal_p, goal_p)
+    np.testing.assert_array_equal(w.goal_r, goal_r)
+
+
 def test_goals_are_clipped() -> None:
     pose = a_pose(0)
     sign = np.array([1.0, -1, 1, -1, 1, -1])

@@ -117,12 +117,16 @@ def rotation_from_vector(vector: Array, out: Array) -> None:
 def latch_pose_goal(action: Array, scale: Array, w: Work) -> None:
     """Pose goal in the base frame: B^T (p - b) + dx and Rot(turn) B^T R.
 
-    dx [m] and turn [rad] are the first and last three of `action` [6] (clipped to
-    [-1, 1]) times `scale`; "achieved" goals start from where the tool is.
+    dx [m] and turn [rad] are the first and next three of `action` (clipped to [-1, 1])
+    times `scale`; "achieved" goals start from where the tool is. A scale [3] has no
+    turns (OSC_POSITION): the tool is to keep the rotation that it has now.
     """
+    turns = len(scale) == 6
     for i in range(3):
         w.goal_p[i] = scale[i] * min(1.0, max(-1.0, action[i]))
-        w.moment[i] = scale[3 + i] * min(1.0, max(-1.0, action[3 + i]))
+        w.moment[i] = 0.0
+        if turns:
+            w.moment[i] = scale[3 + i] * min(1.0, max(-1.0, action[3 + i]))
         for k in range(3):
             w.goal_p[i] += w.base_r[k, i] * (w.tool_p[k] - w.base_p[k])
     rotation_from_vector(w.moment, w.turn)

@@ -51,8 +51,9 @@ lacks (models/grippers/xarm7_gripper.py); its own grasp test never fires there."
 class Arm(NamedTuple):
     """The arm's indices and gains, as the compiled control laws need them.
 
-    osc: whether the action is a tool pose (OSC_POSE) or joint angles. `mass` [n, n]
-    holds the address of each entry of the arm's mass matrix in `MjData.M`.
+    osc: whether the action moves the tool or the joints. scale [m or rad]: what a full
+    action moves: [6] for OSC_POSE, [3] for OSC_POSITION, [n] for JOINT_POSITION. `mass`
+    [n, n] holds the address of each entry of the arm's mass matrix in `MjData.M`.
     """
 
     osc: bool
@@ -202,7 +203,7 @@ def _arm(stock: Any) -> Arm:
     tool = lookup(model, "site", robot.gripper["right"].important_sites["grip_site"])
     base = lookup(model, "site", f"{part.naming_prefix}{part.part_name}_center")
     return Arm(
-        osc=part.name == "OSC_POSE",
+        osc=part.name.startswith("OSC"),
         qpos=np.array(part.qpos_index),
         dof=dof,
         actuator=actuator,

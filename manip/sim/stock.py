@@ -27,7 +27,7 @@ if _gl_backend is None:
 ROBOTS = ("Panda", "Sawyer", "IIWA", "Kinova3", "Jaco", "XArm7")
 """Single, fixed-base arms with seven joints that robosuite 1.5.2 ships."""
 
-CONTROLLERS = ("OSC_POSE", "JOINT_POSITION")
+CONTROLLERS = ("OSC_POSE", "OSC_POSITION", "JOINT_POSITION")
 """Action spaces whose control law the batch engine reproduces."""
 
 PHYSICS_DT = 0.002

@@ -36,7 +36,7 @@ class TrainConfig:
     """Algorithm: sac or ppo."""
     robot: str = "Panda"
     """Arm (see `manip list`)."""
-    controller: Literal["OSC_POSE", "JOINT_POSITION"] = "OSC_POSE"
+    controller: Literal["OSC_POSE", "OSC_POSITION", "JOINT_POSITION"] = "OSC_POSE"
     """Action space, as robosuite defines it."""
     seed: int = 0
     """Seed of the worlds, the network and the exploration."""
