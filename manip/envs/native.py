@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from manip.envs.check import check_start
 from manip.envs.streams import EpisodeStreams
 from manip.envs.task import Measures, Task
 from manip.envs.worlds import Worlds
@@ -54,6 +55,7 @@ class NativeWorlds(Worlds):
         self._dumps = dumps
         action_dim = self.scene.handles.action_dim
         super().__init__(task, num_worlds, action_dim, horizon, reward, seed)
+        check_start(task, self.scene)
 
     def read(self) -> Measures:
         """As `BatchEngine.read`."""

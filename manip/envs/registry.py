@@ -1,8 +1,10 @@
 """Tasks by name: entry points of installed packages, or `package.module:Task`."""
 
 import importlib
-import inspect
+import sys
 from importlib.metadata import entry_points
+from inspect import get_annotations
+from pathlib import Path
 
 from manip.envs.task import Task
 from manip.errors import UserError, unknown
@@ -19,6 +21,8 @@ def task_names() -> list[str]:
 def load_task(name: str) -> Task:
     """The task called `name`, or the class at `package.module:Class`.
 
+    Modules of the working directory are found as well as installed ones.
+
     Raises:
         UserError: no such task; the message lists those that exist.
     """
@@ -32,6 +36,8 @@ def load_task(name: str) -> Task:
 
 def _import(path: str) -> object:
     module, _, attribute = path.partition(":")
+    if str(Path.cwd()) not in sys.path:
+        sys.path.append(str(Path.cwd()))  # as `python -m` does
     try:
         return getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
@@ -43,7 +49,8 @@ def _checked(name: str, cls: object) -> Task:
         raise UserError(
             f"task {name!r} must be a subclass of manip.envs.Task, not {cls!r}"
         )
-    if inspect.isabstract(cls):
-        missing = ", ".join(sorted(cls.__abstractmethods__))
-        raise UserError(f"task {name!r} does not define {missing}")
+    missing = sorted(cls.__abstractmethods__)
+    missing += [said for said in get_annotations(Task) if not hasattr(cls, said)]
+    if missing:
+        raise UserError(f"task {name!r} does not define {', '.join(missing)}")
     return cls()

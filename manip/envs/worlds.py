@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from manip.envs.check import check_task
 from manip.envs.task import Measures, Task
 from manip.rewards.compose import weighted_sum
 from manip.sim.stock import check_choice
@@ -49,6 +50,9 @@ class Worlds(ABC):
         reward: which of the task's reward sets is paid, "shaped" or "stock".
         seed: of all episodes; episode e of world w depends on (seed, w, e) only.
 
+    Raises:
+        UserError: a function of the task gives something of the wrong name or shape.
+
     Attributes:
         layout: observation part -> slice of the observation vector.
         elapsed: [N] control steps since each world's episode began.
@@ -72,6 +76,7 @@ class Worlds(ABC):
         self.reward_set = reward
         self.reward_names = tuple(task.weights[reward])
         self.elapsed = np.zeros(num_worlds, dtype=np.int64)
+        check_task(task, self.read(), num_worlds)
         self.layout = _layout(task.observe(task.measure(self.read())))
         self.seed = seed
         self.restart()

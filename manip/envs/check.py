@@ -1,0 +1,131 @@
+"""What a task's functions must give, checked once, when its worlds are built.
+
+A user's task that gives something else is told so in one line, which names the task
+and the part, instead of failing somewhere in the training loop.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from manip.envs.streams import EpisodeStreams
+from manip.envs.task import Measures, Start, Task
+from manip.errors import UserError, unknown
+from manip.sim.model import Scene
+
+Array = np.ndarray
+
+
+def check_task(task: Task, read: Measures, worlds: int) -> None:
+    """Try all that a task says of its worlds, in every reward set.
+
+    Raises:
+        UserError: a part has the wrong name, shape or kind of numbers.
+    """
+    m = _ask_named(task, "measure()", read, task.measure)
+    for name, part in _ask_named(task, "observe()", m, task.observe).items():
+        _check_part(f"{_of(task)} observe() part {name!r}", part, worlds)
+    for reward in task.weights:
+        _check_rewards(task, reward, m, worlds)
+    for where, method in (("success()", task.success), ("failure()", task.failure)):
+        _check_flags(f"{_of(task)} {where}", _ask(task, where, m, method), worlds)
+    reached = _ask_named(task, "reached()", m, task.reached)
+    _check_names(f"{_of(task)} reached()", reached, "stages", task.stages)
+    for name, flags in reached.items():
+        _check_flags(f"{_of(task)} reached() stage {name!r}", flags, worlds)
+
+
+def check_start(task: Task, scene: Scene) -> None:
+    """Try the starts that a task draws, on two episodes.
+
+    Raises:
+        UserError: a place or a model field has the wrong name or shape.
+    """
+    episodes, where = np.arange(2), f"{_of(task)} sample_start()"
+    start = task.sample_start(scene, EpisodeStreams(0, episodes, episodes))
+    if not isinstance(start, Start):
+        kind = type(start).__name__
+        raise UserError(f"{where} gives {kind}, not Start(qpos, fields)")
+    _check_shape(f"{where} qpos", start.qpos, (2, scene.physics.nq))
+    sizes = {slot.name: slot.size for slot in scene.handles.fields}
+    for name, values in start.fields.items():
+        if name not in sizes:
+            raise UserError(f"{where}: {unknown('field', name, sizes)}")
+        _check_shape(f"{where} field {name!r}", values, (2, sizes[name]))
+
+
+def _of(task: Task) -> str:
+    return f"task {task.name!r}:"
+
+
+def _ask(
+    task: Task, where: str, m: Measures, method: Callable[..., Any], *more: str
+) -> Any:
+    """What the method gives; a measure that it looks for in vain is told."""
+    try:
+        return method(m, *more)
+    except KeyError as error:
+        name = error.args[0]
+        if name in m:
+            raise
+        raise UserError(
+            f"{_of(task)} {where}: {unknown('measure', name, m)}"
+        ) from error
+
+
+def _ask_named(
+    task: Task, where: str, m: Measures, method: Callable[..., Any], *more: str
+) -> Mapping[str, Any]:
+    given = _ask(task, where, m, method, *more)
+    if not isinstance(given, Mapping):
+        kind = type(given).__name__
+        raise UserError(f"{_of(task)} {where} gives {kind}, not named arrays")
+    return given
+
+
+def _check_rewards(task: Task, reward: str, m: Measures, worlds: int) -> None:
+    where = f"reward_terms(m, {reward!r})"
+    terms = _ask_named(task, where, m, task.reward_terms, reward)
+    _check_names(
+        f"{_of(task)} {where}", terms, f"weights[{reward!r}]", task.weights[reward]
+    )
+    for name, term in terms.items():
+        _check_shape(f"{_of(task)} {where} term {name!r}", term, (worlds,))
+
+
+def _check_names(
+    where: str, given: Mapping[str, Any], kind: str, expected: Iterable[str]
+) -> None:
+    expected = list(expected)
+    if set(given) != set(expected):
+        raise UserError(
+            f"{where} gives {_list(given)}, but {kind} names {_list(expected)}"
+        )
+
+
+def _list(names: Iterable[str]) -> str:
+    return ", ".join(map(repr, names)) or "nothing"
+
+
+def _check_part(where: str, part: Any, worlds: int) -> None:
+    shape = np.shape(part)
+    if len(shape) != 2 or shape[0] != worlds:
+        raise UserError(f"{where} has shape {shape}, not ({worlds}, k): a row a world")
+    _check_kind(where, part, np.floating, "floating-point numbers")
+
+
+def _check_flags(where: str, flags: Any, worlds: int) -> None:
+    _check_shape(where, flags, (worlds,))
+    _check_kind(where, flags, np.bool_, "bool")
+
+
+def _check_shape(where: str, values: Any, expected: tuple[int, ...]) -> None:
+    if np.shape(values) != expected:
+        raise UserError(f"{where} has shape {np.shape(values)}, not {expected}")
+
+
+def _check_kind(where: str, values: Any, kind: type, words: str) -> None:
+    found = getattr(values, "dtype", None)
+    if not isinstance(values, np.ndarray) or not np.issubdtype(values.dtype, kind):
+        raise UserError(f"{where} holds {found or type(values).__name__}, not {words}")

@@ -1,0 +1,241 @@
+"""A task of one's own: the documented example works, mistakes are told in one line."""
+
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from twin import copy_start
+
+from manip.agents.policy import load_policy
+from manip.envs.native import NativeWorlds
+from manip.envs.registry import load_task, task_names
+from manip.envs.stock import StockWorlds
+from manip.envs.task import Start, Task
+from manip.errors import UserError
+from manip.evaluation import evaluate as evaluation
+from manip.programs import cli, main
+from manip.sim import gl
+from manip.sim.model import Scene
+
+ROOT = Path(__file__).parents[1]
+PAGE, FOLDER = ROOT / "docs/own-task.md", ROOT / "docs/own_task"
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _in_the_folder() -> Iterator[None]:
+    """As a user does: working where the module lies, without installing it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "path", list(sys.path))
+        patch.chdir(FOLDER)
+        yield
+    sys.modules.pop("press", None)
+
+
+@pytest.fixture(scope="module")
+def press() -> Task:
+    return load_task("press:Press")
+
+
+@pytest.fixture(scope="module")
+def scene(press: Task, scene_of) -> Scene:
+    return scene_of(press)
+
+
+def test_the_page_shows_the_file() -> None:
+    blocks = re.findall("```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    shown, source = "".join(blocks), (FOLDER / "press.py").read_text()
+    assert shown.split() == source.split()
+    assert (FOLDER / "pyproject.toml").read_text() in PAGE.read_text()
+
+
+def pushing(m: Any) -> np.ndarray:
+    """Over the button, then down on it with closed fingers."""
+    action = np.zeros((len(m["distance"]), 7))
+    action[:, :3] = np.clip(20 * m["to_button"], -1, 1)
+    aside = np.linalg.norm(m["to_button"][:, :2], axis=1) > 0.02
+    action[:, 2] = np.where(aside, action[:, 2] + 0.5, -1.0)
+    action[:, 6] = 1.0
+    return action
+
+
+def test_the_engine_does_what_stock_does(press: Task, scene: Scene) -> None:
+    theirs = StockWorlds(press, stock=scene.stock)
+    ours = NativeWorlds(press, 2, scene=scene, threads=1)
+    theirs.begin(np.arange(1))
+    copy_start(press, ours.engine, range(2))
+    for _ in range(25):
+        action = pushing(press.measure(theirs.read())).astype(np.float32)
+        moment, expected = ours.step(action.repeat(2, 0)), theirs.step(action)
+        np.testing.assert_allclose(
+            moment.observation[:1], expected.observation, 0, 1e-4
+        )
+        np.testing.assert_allclose(moment.reward[:1], expected.reward, 0, 1e-4)
+        assert moment.success[0] == expected.success == scene.stock._check_success()
+    assert moment.success.all()
+
+
+def test_every_episode_can_be_solved(press: Task, scene: Scene) -> None:
+    worlds = NativeWorlds(press, 8, scene=scene)
+    worlds.begin(np.arange(8))
+    found = [worlds.step(pushing(press.measure(worlds.read()))) for _ in range(40)]
+    assert not found[0].success.any()
+    assert np.all([moment.success for moment in found[-10:]])
+
+
+def test_it_is_trained_judged_and_filmed(tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr(evaluation, "usable_cpus", lambda: 1)
+    run, result, film = tmp_path / "run", tmp_path / "eval.json", tmp_path / "film.mp4"
+    size = "--num-worlds 4 --eval-every 64 --eval-episodes 1 --agent.rollout-length 8"
+    rig = f"--task press:Press --algo ppo --steps 64 {size}"
+    start("train", *rig.split(), "--out", run)
+    assert load_policy(run).card.task == "press:Press"
+    start("evaluate", run, "--episodes", 1, "--json", result)
+    assert json.loads(result.read_text())["stages"].keys() == {"near", "press"}
+    if gl.find_backend():
+        start("render", run, "--episodes", 1, "--steps", 2, "--out", film)
+        assert film.stat().st_size > 1000
+
+
+def start(program: str, *arguments: object) -> None:
+    assert cli.run(main._program(program), list(map(str, arguments))) == 0
+
+
+def test_an_entry_point_gives_it_a_name(tmp_path: Path, monkeypatch) -> None:
+    project = tomllib.loads((FOLDER / "pyproject.toml").read_text())["project"]
+    points = project["entry-points"]["manip.tasks"]
+    info = tmp_path / f"{project['name']}-{project['version']}.dist-info"
+    info.mkdir()
+    lines = [f"{name} = {where}" for name, where in points.items()]
+    (info / "entry_points.txt").write_text("\n".join(["[manip.tasks]", *lines]))
+    assert "Press" not in task_names()
+    monkeypatch.syspath_prepend(tmp_path)
+    assert "Press" in task_names()
+    assert load_task("Press").name == "Press"
+
+
+@pytest.mark.slow
+def test_pip_installs_it(tmp_path: Path) -> None:
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    for path in FOLDER.iterdir():
+        (copy / path.name).write_text(path.read_text())
+    target = ["--no-build-isolation", "--target", str(tmp_path / "site"), str(copy)]
+    subprocess.run([*pip, *target], check=True)
+    listed = subprocess.run(
+        [sys.executable, "-m", "manip.programs.main", "list", "--json"],
+        env={"PYTHONPATH": str(tmp_path / "site")},
+        capture_output=True,
+        check=True,
+    )
+    assert "Press" in json.loads(listed.stdout)["tasks"]
+
+
+# Mistakes
+
+
+Method = Callable[..., Any]
+
+MISTAKES: dict[str, tuple[str, Method]] = {
+    "measure() gives NoneType, not named arrays": ("measure", lambda task, read: None),
+    "measure(): unknown measure 'buton_pos': did you mean 'button_pos'? known": (
+        "measure",
+        lambda task, read: {**read, "place": read["buton_pos"]},
+    ),
+    "observe() part 'depth' has shape (3,), not (3, k): a row a world": (
+        "observe",
+        lambda task, m: {"depth": m["depth"]},
+    ),
+    "observe() part 'rest' has shape (1, 7), not (3, k): a row a world": (
+        "observe",
+        lambda task, m: {"arm": m["joint_pos"], "rest": m["rest_pos"]},
+    ),
+    "observe() part 'down' holds bool, not floating-point numbers": (
+        "observe",
+        lambda task, m: {"down": m["depth"][:, None] > 0},
+    ),
+    "observe() part 'zero' holds list, not floating-point numbers": (
+        "observe",
+        lambda task, m: {"zero": [[0.0]] * 3},
+    ),
+    "reward_terms(m, 'shaped') gives 'near', but weights['shaped'] names 'near', ": (
+        "reward_terms",
+        lambda task, m, reward: {"near": m["distance"]},
+    ),
+    "reward_terms(m, 'shaped') term 'press' has shape (3, 1), not (3,)": (
+        "reward_terms",
+        lambda task, m, reward: {"near": m["distance"], "press": m["button_qpos"]},
+    ),
+    "success() holds float64, not bool": ("success", lambda task, m: m["depth"]),
+    "success() has shape (3, 1), not (3,)": (
+        "success",
+        lambda task, m: m["button_qpos"] > 0,
+    ),
+    "failure() has shape (), not (3,)": ("failure", lambda task, m: None),
+    "reached() gives 'near', 'push', but stages names 'near', 'press'": (
+        "reached",
+        lambda task, m: dict.fromkeys(["near", "push"], m["depth"] > 0),
+    ),
+    "reached() stage 'near' holds float64, not bool": (
+        "reached",
+        lambda task, m: dict.fromkeys(task.stages, m["depth"]),
+    ),
+    "sample_start() gives ndarray, not Start(qpos, fields)": (
+        "sample_start",
+        lambda task, scene, streams: scene.handles.qpos,
+    ),
+    "sample_start() qpos has shape (10,), not (2, 10)": (
+        "sample_start",
+        lambda task, scene, streams: Start(scene.handles.qpos),
+    ),
+    "sample_start(): unknown field 'socket': did you mean 'socket_place'? known": (
+        "sample_start",
+        lambda task, scene, streams: Start(at_rest(scene, 2), {"socket": 0.0}),
+    ),
+    "sample_start() field 'socket_place' has shape (3,), not (2, 3)": (
+        "sample_start",
+        lambda task, scene, streams: Start(
+            at_rest(scene, 2), {"socket_place": np.zeros(3)}
+        ),
+    ),
+}
+"""What is told -> the method that is wrong, and how."""
+
+
+def at_rest(scene: Scene, episodes: int) -> np.ndarray:
+    return np.tile(scene.handles.qpos, (episodes, 1))
+
+
+@pytest.mark.parametrize("told", MISTAKES)
+def test_a_wrong_part_is_told_when_its_worlds_are_built(
+    told: str, press: Task, scene: Scene
+) -> None:
+    method, body = MISTAKES[told]
+    wrong = type("Mine", (type(press),), {method: body})()
+    with pytest.raises(UserError) as error:
+        NativeWorlds(wrong, 3, scene=scene, threads=1)
+    assert str(error.value).startswith(f"task 'Mine': {told}")
+    assert "\n" not in str(error.value)
+
+
+def test_an_error_inside_a_task_stays_what_it_is(press: Task, scene: Scene) -> None:
+    wrong = type("Mine", (type(press),), {"observe": lambda task, m: {}["depth"]})()
+    with pytest.raises(KeyError, match="depth"):
+        NativeWorlds(wrong, 3, scene=scene, threads=1)
+
+
+def test_a_task_without_its_numbers_is_told(press: Task, monkeypatch) -> None:
+    bare = type("Bare", (Task,), {"name": "bare", "stages": ("near",)})
+    monkeypatch.setattr(sys.modules["press"], "Bare", bare, raising=False)
+    missing = (
+        "measure, observe, .*, success, robosuite_name, sensors, horizon, weights$"
+    )
+    with pytest.raises(UserError, match=f"'press:Bare' does not define {missing}"):
+        load_task("press:Bare")
