@@ -1,59 +1,27 @@
 """Environments: TorchRL's contract, ends of episodes, seeds, and the task registry."""
 
 from itertools import pairwise
-from typing import ClassVar
 
 import numpy as np
 import pytest
 import torch
 from scripted import SCRIPTS
 from tensordict import TensorDict, TensorDictBase
+from tiny import Tiny
 from torch import Tensor
 from torchrl.envs.utils import check_env_specs
 from twin import copy_start
 
 from manip.envs.registry import load_task, task_names
-from manip.envs.task import Start, Task
+from manip.envs.task import Task
 from manip.envs.torchrl import NativeEnv, StockEnv
 from manip.errors import UserError
 from manip.rewards.compose import weighted_sum
-from manip.sim.handles import Sensors
 from manip.sim.model import Scene
 from manip.sim.reader import stock_reader
 from manip.sim.stock import make_stock
 
 Array = np.ndarray
-
-
-class Tiny(Task):
-    """The least a task can be: bring the gripper to close; opened, it has failed."""
-
-    robosuite_name = "Lift"
-    sensors = Sensors()
-    horizon = 8
-    stages = ("closed",)
-    weights: ClassVar = {"shaped": {"closing": 1.0}}
-
-    def sample_start(self, scene, streams) -> Start:
-        return Start(np.tile(scene.handles.qpos, (len(streams), 1)))
-
-    def measure(self, read):
-        return read
-
-    def observe(self, m):
-        return {"joint_pos": m["joint_pos"], "closing": m["gripper_closing"][:, None]}
-
-    def reward_terms(self, m, reward):
-        return {"closing": (m["gripper_closing"] + 1) / 2}
-
-    def success(self, m):
-        return m["gripper_closing"] > 0.9
-
-    def reached(self, m):
-        return {"closed": self.success(m)}
-
-    def failure(self, m):
-        return m["gripper_closing"] < -0.5
 
 
 @pytest.fixture(scope="module", params=task_names())
@@ -471,7 +439,7 @@ def test_an_unknown_task_lists_the_tasks() -> None:
 
 
 def test_a_task_of_ones_own_is_found_by_its_path() -> None:
-    assert isinstance(load_task(f"{__name__}:Tiny"), Tiny)
+    assert isinstance(load_task("tiny:Tiny"), Tiny)
 
 
 @pytest.mark.parametrize(
