@@ -34,8 +34,9 @@ HOME = {
     "dm_control": (),
     "tyro": ("manip/programs",),
     "envpool": ("manip/benchmarks",),
-    "gymnasium": ("manip/benchmarks",),
-    "stable_baselines3": ("manip/benchmarks",),
+    "dm_env": ("manip/envs/dm_env.py",),
+    "gymnasium": ("manip/envs/gymnasium.py", "manip/envs/sb3.py", "manip/benchmarks"),
+    "stable_baselines3": ("manip/envs/sb3.py", "manip/benchmarks"),
 }
 """Library -> the only places that import it."""
 
