@@ -112,7 +112,8 @@ def test_engine_compares_with_bare_physics_and_stock(tmp_path: Path, capsys) -> 
 @pytest.mark.slow
 def test_env_compares_with_the_engine(tmp_path: Path) -> None:
     found = figures(tmp_path, "env")
-    assert found.keys() == {"env_vs_engine", "collect_vs_engine"}
+    environments = {"env_vs_engine", "gymnasium_vs_engine"}
+    assert found.keys() == {*environments, "collect_vs_engine"}
 
 
 @pytest.mark.slow

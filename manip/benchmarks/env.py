@@ -3,12 +3,14 @@
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
 import torch
 
 from manip.agents.sac import SACConfig
 from manip.benchmarks.contest import Contest, Settings, speed
 from manip.benchmarks.worlds import STEPS_A_ROUND, repeats, scene_of, started
 from manip.cpus import usable_cpus
+from manip.envs.gymnasium import TaskVectorEnv
 from manip.envs.registry import load_task
 from manip.envs.torchrl import NativeEnv
 from manip.sim.model import Scene
@@ -18,7 +20,7 @@ from manip.training.rollout import Rollout
 
 
 def contest(settings: Settings) -> Contest:
-    """Engine; TorchRL environment (observe, reward, reset); collect loop with SAC."""
+    """Engine; environments on it (observe, reward, reset); collect loop with SAC."""
     torch.set_num_threads(1)  # as training does: torch's threads wait by spinning
     task, scene = settings.task, scene_of(settings.task)
     engine = started(task, scene, settings.worlds, usable_cpus())
@@ -27,12 +29,14 @@ def contest(settings: Settings) -> Contest:
         {
             "engine": speed(repeats(engine)),
             "TorchRL environment": speed(random_steps(_env(settings, scene))),
+            "Gymnasium vector environment": speed(_vector_steps(settings, scene)),
             "collect loop with SAC policy": speed(
                 _collect(_env(settings, scene), settings.task)
             ),
         },
         ratios={
             "env_vs_engine": ("TorchRL environment", "engine"),
+            "gymnasium_vs_engine": ("Gymnasium vector environment", "engine"),
             "collect_vs_engine": ("collect loop with SAC policy", "engine"),
         },
     )
@@ -53,6 +57,20 @@ def random_steps(env: NativeEnv) -> Callable[[], int]:
             state["action"] = torch.rand(env.action_spec.shape) * 2 - 1
             _, state = env.step_and_maybe_reset(state)
         return steps * env.worlds.num_worlds
+
+    return go
+
+
+def _vector_steps(settings: Settings, scene: Scene) -> Callable[[], int]:
+    envs = TaskVectorEnv(settings.task, settings.worlds, scene=scene, stagger=True)
+    steps = max(2, STEPS_A_ROUND // envs.num_envs)
+    rng, shape = np.random.default_rng(0), envs.action_space.shape
+
+    def go() -> int:
+        envs.reset()
+        for _ in range(steps):
+            envs.step(rng.uniform(-1, 1, shape))
+        return steps * envs.num_envs
 
     return go
 

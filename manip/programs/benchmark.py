@@ -19,7 +19,8 @@ class Benchmark:
     """Measure speed, everything interleaved in one run.
 
     engine: the batch engine against MuJoCo's bare physics and stock robosuite.
-    env: TorchRL environment and collect loop with a policy, as a share of the engine.
+    env: TorchRL and Gymnasium environments and collect loop with a policy, as a share
+        of the engine.
     startup: seconds to the first control step, with cold and warm compile cache.
     scaling: speed against worlds, threads and size of the model (--plot FILE).
     learner: SAC updates and PPO epochs against other libraries (see `make peers`).
