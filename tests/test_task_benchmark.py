@@ -10,7 +10,6 @@ import pytest
 from manip.benchmarks import task as benchmark
 from manip.benchmarks.attempts import Attempt, figures, median_time, verdict
 from manip.envs.registry import load_task
-from manip.envs.torchrl import StockEnv
 from manip.evaluation import evaluate
 from manip.evaluation.statistics import Rate
 from manip.programs import cli
@@ -107,24 +106,21 @@ def sb3():
 
 
 def test_the_peer_sees_what_our_tasks_see_and_robosuite_pays(sb3) -> None:
-    peer = sb3.StockGym("Lift", seed=5)
-    ours = StockEnv(load_task("Lift"), reward="stock", seed=5)
-    seen, _ = peer.reset(seed=5)
-    state = ours.reset()
-    np.testing.assert_array_equal(seen, state["observation"][0].numpy())
+    peer = sb3.stock_env("Lift")
+    task, worlds = load_task("Lift"), peer.unwrapped.worlds
+    peer.reset(seed=5)
     for _ in range(2):
-        state["action"] = ours.action_spec.rand()
-        step, state = ours.step_and_maybe_reset(state)
-        seen, reward, *ends, _ = peer.step(step["action"][0].numpy())
-        after = step["next"]
-        np.testing.assert_array_equal(seen, after["observation"][0].numpy())
-        assert reward == pytest.approx(float(after["reward"]), abs=1e-6)
+        seen, reward, *ends, _ = peer.step(peer.action_space.sample())
+        parts = task.observe(task.measure(worlds.read()))
+        expected = np.concatenate(list(parts.values()), axis=1, dtype=np.float32)
+        np.testing.assert_array_equal(seen, expected[0])
+        assert reward == pytest.approx(worlds.stock.reward(), abs=1e-6)
         assert ends == [False, False]
 
 
 def test_a_time_limit_truncates_the_peer(sb3, monkeypatch) -> None:
     monkeypatch.setattr(sb3, "HORIZON", 2)
-    peer = sb3.StockGym("Reach", seed=0)
+    peer = sb3.stock_env("Reach")
     peer.reset()
     action = np.zeros(peer.action_space.shape)
     assert [peer.step(action)[3] for _ in range(2)] == [False, True]

@@ -5,18 +5,16 @@ from copy import deepcopy
 from typing import Any
 
 import gymnasium
-import numpy as np
-from gymnasium.spaces import Box
+from gymnasium.wrappers import TimeLimit
 from rich.console import Console
 from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from torch import nn
 
 from manip.benchmarks.attempts import GOAL, Attempt, held_in_stock
-from manip.envs.registry import load_task
+from manip.envs.gymnasium import TaskEnv
 from manip.evaluation.statistics import Rate
-from manip.sim.reader import stock_reader
-from manip.sim.stock import Rig, make_stock, reseed
+from manip.sim.stock import Rig
 
 NAME = "SB3 SAC"
 
@@ -43,46 +41,15 @@ EVALUATIONS = 12
 """Evaluations in the time that is given."""
 
 
-class StockGym(gymnasium.Env):
+def stock_env(task: str) -> gymnasium.Env:
     """Stock robosuite with its own shaped reward, observed as our tasks observe it."""
-
-    def __init__(self, task: str, seed: int) -> None:
-        self._task = load_task(task)
-        self._stock = make_stock(self._task.robosuite_name, seed=seed)
-        self._read = stock_reader(self._stock, self._task.sensors)
-        self._steps = 0
-        width = len(self._observation())
-        self.observation_space = Box(-np.inf, np.inf, (width,), np.float32)
-        self.action_space = Box(-1.0, 1.0, (self._stock.action_dim,), np.float32)
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode, with `seed` if one is given."""
-        super().reset(seed=seed)
-        if seed is not None:
-            reseed(self._stock, seed)
-        self._stock.reset()
-        self._steps = 0
-        return self._observation(), {}
-
-    def step(
-        self, action: np.ndarray
-    ) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """One control step; an episode is truncated after HORIZON of them."""
-        _, reward, _, _ = self._stock.step(action)
-        self._steps += 1
-        return self._observation(), float(reward), False, self._steps >= HORIZON, {}
-
-    def _observation(self) -> np.ndarray:
-        parts = self._task.observe(self._task.measure(self._read()))
-        return np.concatenate(list(parts.values()), axis=1, dtype=np.float32)[0]
+    return TimeLimit(TaskEnv(task, env="stock", reward="stock"), HORIZON)
 
 
 def learn(task: str, seed: int, cap: float, episodes: int) -> Attempt:
     """Learn until the goal is reached in an evaluation, or for `cap` seconds."""
     judge = _Judge(task, cap, episodes)
-    learner = SAC("MlpPolicy", StockGym(task, seed), seed=seed, device="cpu", **OPTIONS)
+    learner = SAC("MlpPolicy", stock_env(task), seed=seed, device="cpu", **OPTIONS)
     learner.learn(2**62, callback=judge, log_interval=None)
     assert judge.held is not None
     return Attempt(NAME, seed, judge.seconds, learner.num_timesteps, judge.held)
