@@ -26,7 +26,8 @@ class Sensors:
     joints: name -> hinge or slide joint; gives `<name>_qpos` [1] and `<name>_qvel` [1]
         in rad and rad/s, or m and m/s.
     touches: name -> (side, side), a side being a geom group of the gripper (such as
-        "left_fingerpad") or a body with all below it; gives `<name>` [1], 1 in touch.
+        "left_fingerpad"), a body with all below it, or a geom that no body is named
+        like; gives `<name>` [1], 1 in touch.
     fields: name -> (model array, object), such as ("site_pos", "goal"): entries of
         the model that every world has for itself and a reset may set.
     """
@@ -175,9 +176,7 @@ def lookup(model: mujoco.MjModel, kind: str, name: str) -> int:
     Raises:
         UserError: no such name; the message lists the names that exist.
     """
-    found = mujoco.mj_name2id(
-        model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), name
-    )
+    found = _find(model, kind, name)
     if found < 0:
         count = model.njnt if kind == "joint" else getattr(model, f"n{kind}")
         known = (getattr(model, kind)(i).name for i in range(count))
@@ -185,12 +184,22 @@ def lookup(model: mujoco.MjModel, kind: str, name: str) -> int:
     return found
 
 
+def _find(model: mujoco.MjModel, kind: str, name: str) -> int:
+    """Id of a named body, site, geom, ..., or -1."""
+    return mujoco.mj_name2id(
+        model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), name
+    )
+
+
 def _side(stock: Any, name: str) -> Side:
     hand = stock.robots[0].gripper["right"]
     groups = hand.important_geoms | _PADS.get(type(hand).__name__, {})
     if name in groups:
         return Side(tuple(groups[name]), None)
-    lookup(stock.sim.model._model, "body", name)
+    model = stock.sim.model._model
+    if _find(model, "body", name) < 0 <= _find(model, "geom", name):
+        return Side((name,), None)
+    lookup(model, "body", name)
     return Side((), name)
 
 
