@@ -4,8 +4,11 @@ Each maps measures [N, ...] to OSC_POSE actions [N, 7] and remembers nothing.
 """
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
+from scripted_hang import tool_hang
 
+from manip.envs.registry import task_names
 from manip.envs.task import Measures
 from tasks.objects import rotation, yaw
 from tasks.stack import STACKED
@@ -150,4 +153,14 @@ SCRIPTS = {
     "NutAssemblySquare": nut_assembly,
     "Reach": reach,
     "Stack": stack,
+    "ToolHang": tool_hang,
 }
+
+LONG = {"ToolHang"}
+"""Tasks whose scripts take hundreds of steps, for the slow tests."""
+
+TASKS = [
+    pytest.param(name, marks=pytest.mark.slow) if name in LONG else name
+    for name in task_names()
+]
+"""Names of all tasks, as parameters of a fixture."""

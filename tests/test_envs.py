@@ -5,12 +5,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from scripted import SCRIPTS
+from scripted import SCRIPTS, TASKS
 from tensordict import TensorDict, TensorDictBase
 from tiny import Tiny
 from torch import Tensor
 from torchrl.envs.utils import check_env_specs
-from twin import copy_start
+from twin import RESYNCED, copy_start, copy_state
 
 from manip.envs.registry import load_task, task_names
 from manip.envs.task import Task
@@ -24,7 +24,7 @@ from manip.sim.stock import make_stock
 Array = np.ndarray
 
 
-@pytest.fixture(scope="module", params=task_names())
+@pytest.fixture(scope="module", params=TASKS)
 def task(request) -> Task:
     return load_task(request.param)
 
@@ -145,7 +145,10 @@ def test_native_says_what_stock_says(reward: str, task: Task, scene: Scene) -> N
     copy_start(task, ours.worlds.engine, range(2))
     assert_say_the_same(ours.look(), state, ("observation", "reward_terms"))
     chance, script = actions(10, 1), SCRIPTS[task.name]
+    resync = RESYNCED.get(task.name)
     for step in range(task.horizon):
+        if resync and step % resync == 0:
+            copy_state(task, ours.worlds.engine, range(2))
         read = {k: v[:1] for k, v in ours.worlds.engine.read().items()}
         move = script(task.measure(read)).astype(np.float32)
         move = chance[step] if step < len(chance) else torch.from_numpy(move)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from scipy.stats import ks_2samp
-from scripted import SCRIPTS
+from scripted import SCRIPTS, TASKS
 
 from manip.envs.registry import load_task, task_names
 from manip.envs.streams import EpisodeStreams
@@ -29,7 +29,7 @@ HELD_STEPS = 10
 REWARD_SETS = ("shaped", "stock")
 
 
-@pytest.fixture(scope="module", params=task_names())
+@pytest.fixture(scope="module", params=TASKS)
 def task(request) -> Task:
     return load_task(request.param)
 

@@ -9,6 +9,10 @@ from manip.sim.engine import BatchEngine
 from manip.sim.reader import stock_reader
 from manip.sim.stock import reseed
 
+RESYNCED = dict.fromkeys(("NutAssemblyRound", "NutAssemblySquare", "ToolHang"), 5)
+"""Steps after which a scripted twin is put where stock is: what slides along a peg or
+into a post with a millimetre of play turns differences of 1e-8 into millimetres."""
+
 
 def start_twin(task: Task, engine: BatchEngine, worlds: Iterable[int], seed: int):
     """Reset the engine's stock environment and put `worlds` where it starts."""
@@ -31,6 +35,15 @@ def copy_start(task: Task, engine: BatchEngine, worlds: Iterable[int]) -> None:
     rows = np.zeros(len(worlds), dtype=int)
     fields = {name: read[name][rows] for name in task.sensors.fields}
     engine.write(worlds, read["qpos"][rows], fields)
+
+
+def copy_state(task: Task, engine: BatchEngine, worlds: Iterable[int]) -> None:
+    """Put `worlds` where the stock environment is now, in the midst of its episode."""
+    stock = engine.scene.stock
+    read, data = stock_reader(stock, task.sensors)(), stock.sim.data._data
+    hidden = "start_pos", "gripper_command", *task.sensors.fields
+    state = [data.qpos, data.qvel, data.qacc_warmstart, *(read[n][0] for n in hidden)]
+    engine.states[list(worlds)] = np.concatenate(state)
 
 
 def reading(engine: BatchEngine, world: int) -> dict[str, np.ndarray]:

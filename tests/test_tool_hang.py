@@ -1,0 +1,121 @@
+"""ToolHang: when its parts stand and hang, and the numbers its docstring states."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from manip.envs.streams import EpisodeStreams
+from manip.rewards.compose import weighted_sum
+from manip.sim.reader import stock_reader
+from tasks.tool_hang import FINGERS, ToolHang
+
+Array = np.ndarray
+
+UPRIGHT = np.array([-0.08, 0.0, 0.881]), Rotation.identity()
+LYING = np.array([-0.04, -0.24, 0.8415]), Rotation.from_euler("ZX", [1.2, np.pi / 2])
+STANDING = np.array([-0.03625, 0.045, 0.9455]), Rotation.from_euler("z", np.pi)
+ON_TABLE = np.array([0.04, -0.2, 0.841]), Rotation.from_euler("z", -1.9)
+HANGING = np.array([-0.0005, 0.045, 0.932]), Rotation.from_euler("y", np.pi / 2)
+
+
+@pytest.fixture(scope="module")
+def stock(scene_of) -> Any:
+    stock = scene_of(ToolHang()).stock
+    stock.reset()
+    return stock
+
+
+def put(stock: Any, **poses: tuple[Array, Rotation]) -> None:
+    for name, (place, turn) in poses.items():
+        pose = np.concatenate([place, turn.as_quat(scalar_first=True)])
+        stock.sim.data.set_joint_qpos(f"{name}_joint0", pose)
+    stock.sim.forward()
+
+
+def shaken(pose: tuple[Array, Rotation], rng: np.random.Generator):
+    place, turn = pose
+    shake = Rotation.from_rotvec(rng.normal(0, 0.07, 3))
+    return place + rng.normal(0, 0.0025, 3), shake * turn
+
+
+def test_it_stands_and_hangs_where_stock_says_so(stock: Any) -> None:
+    task, rng = ToolHang(), np.random.default_rng(0)
+    read, found = stock_reader(stock, task.sensors), []
+    for _ in range(150):
+        poses = {"frame": STANDING, "tool": HANGING, "stand": UPRIGHT}
+        put(stock, **{name: shaken(pose, rng) for name, pose in poses.items()})
+        m = task.measure(read())
+        ours = m["assembled"][0], m["hung"][0], task.success(m)[0]
+        parts = stock._check_frame_assembled(), stock._check_tool_on_frame()
+        assert ours == (*parts, stock._check_success())
+        found.append(ours)
+    share = np.mean(found, axis=0)
+    assert ((share > 0.02) & (share < 0.98)).all()
+
+
+def look(stock: Any, frame, tool, at: Array, closing: float, touch: str = ""):
+    """Measures with the gripper at `at`, which touches the `touch` from both sides."""
+    put(stock, stand=UPRIGHT, frame=frame, tool=tool)
+    task = ToolHang()
+    read = stock_reader(stock, task.sensors)()
+    pads = {f"frame_{side}": float(touch == "frame") for side in ("left", "right")}
+    pads |= {f"tool_{finger}": float(touch == "tool") for finger in FINGERS}
+    hand = {"eef_pos": at[None], "gripper_closing": np.array([closing])}
+    return task.measure({**read, **pads, **hand, "hole_touch": np.ones(1)})
+
+
+def test_it_pays_as_its_docstring_says_and_more_each_stage(stock: Any) -> None:
+    def grip(frame: tuple[Array, Rotation]) -> Array:
+        return frame[0] + frame[1].apply([0.04375, 0, 0.0525])
+
+    up, (place, turn) = np.array([0, 0, 1.0]), STANDING
+    above, half = ((place + (0.15 - z) * up, turn) for z in (0.0, 0.075))
+    raised = ON_TABLE[0] + 0.1 * up, ON_TABLE[1]
+    ms = [
+        look(stock, LYING, ON_TABLE, grip(LYING) + 0.2 * up, -1),
+        look(stock, LYING, ON_TABLE, grip(LYING), -1),
+        look(stock, LYING, ON_TABLE, grip(LYING), 1, "frame"),
+        look(stock, above, ON_TABLE, grip(above), 1, "frame"),
+        look(stock, half, ON_TABLE, grip(half), 1, "frame"),
+        look(stock, STANDING, ON_TABLE, grip(STANDING), 1, "frame"),
+        look(stock, STANDING, ON_TABLE, ON_TABLE[0], -1),
+        look(stock, STANDING, raised, raised[0], 1, "tool"),
+        look(stock, STANDING, HANGING, HANGING[0], 1, "tool"),
+        look(stock, STANDING, HANGING, HANGING[0], 0, "tool"),
+        look(stock, STANDING, HANGING, HANGING[0], -1),
+    ]
+    task = ToolHang()
+    terms = [task.reward_terms(m, "shaped") for m in ms]
+    paid = [weighted_sum(each, task.weights["shaped"])[0] for each in terms]
+    length = {name: [np.linalg.norm(m[name]) for m in ms] for name in ms[0]}
+    over = 0.05 * (1 - np.tanh(length["to_mouth"][2] / 0.1))
+    reach = 0.05 * (1 - np.tanh(5 * length["tool_distance"][5]))
+    carry = 0.15 * (1 - np.tanh(5 * length["to_hook"][7]))
+    frame = [0.05 * (1 - np.tanh(1)), 0.05, 0.15 + over, 0.3, 0.4, 0.5 + reach]
+    np.testing.assert_allclose(paid[:6], frame, atol=1e-4)
+    tool = [0.6, 0.7 + carry, 0.9, 0.925, 1]
+    np.testing.assert_allclose(paid[6:], tool, atol=1e-4)
+    assert (np.diff(paid) > 0).all()
+    assert [bool(task.success(m)[0]) for m in ms] == [False] * 10 + [True]
+
+
+def test_things_start_where_it_says(scene_of) -> None:
+    task, worlds = ToolHang(), np.arange(500)
+    scene = scene_of(task)
+    qpos = task.sample_start(scene, EpisodeStreams(0, worlds, worlds)).qpos
+    stand, frame, tool = (
+        qpos[:, scene.free_qpos(f"{name}_root")] for name in ("stand", "frame", "tool")
+    )
+    assert np.ptp(stand, axis=0).max() == 0
+    for found, mean in (frame, [-0.04, -0.24]), (tool, [0.04, -0.2]):
+        assert np.abs(found[:, :2] - mean).max() <= 0.02
+        np.testing.assert_allclose(np.ptp(found[:, :2], axis=0), 0.04, atol=1e-3)
+    turn = Rotation.from_quat(frame[:, 3:], scalar_first=True)
+    flat = turn.apply([0, 1, 0])
+    np.testing.assert_allclose(np.abs(flat[:, 2]), 1, atol=1e-12)
+    for quat in frame[:, 3:], tool[:, 3:]:
+        turn = Rotation.from_quat(quat, scalar_first=True)
+        apart = (turn * turn.mean().inv()).magnitude()
+        np.testing.assert_allclose(apart.max(), np.pi / 18, atol=0.01)
