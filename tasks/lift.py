@@ -20,22 +20,18 @@ from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, ramp
 from manip.sim.handles import Sensors
 from manip.sim.model import Scene
-from tasks.arm import observe_arm, start_qpos, yaw_quaternion
+from tasks.arm import start_qpos, yaw_quaternion
+from tasks.cube import CUBE, PADS, TABLE, closing, measure_cube, observe_cube
 
 Array = np.ndarray
 
-TABLE = np.array([0.0, 0.0, 0.8])
-"""Centre of the table top [m] (robosuite/environments/manipulation/lift.py)."""
-CENTRE = TABLE + np.array([0.0, 0.0, 0.15])
-"""Origin [m] of the tool's place in observations."""
 SPREAD = 0.03
-"""Half width [m] of the square in which the cube starts (ibid.)."""
+"""Half width [m] of the square in which the cube starts
+(robosuite/environments/manipulation/lift.py)."""
 DROP = 0.01
 """Height [m] above the table from which the cube is dropped (ibid.)."""
 LIFTED = 0.04
 """Success height [m] of the cube's centre above the table (ibid.)."""
-AROUND = 0.02
-"""Distance [m] of the tool from the cube's centre, below which it is around it."""
 REST = 0.021
 """Mean half size [m] of the cube; robosuite samples 2.0 to 2.2 cm (ibid.)."""
 
@@ -44,13 +40,7 @@ class Lift(Task):
     """Raise the cube; see the module's docstring for the numbers."""
 
     robosuite_name = "Lift"
-    sensors = Sensors(
-        bodies={"cube": "cube_main"},
-        touches={
-            "left_touch": ("left_fingerpad", "cube_main"),
-            "right_touch": ("right_fingerpad", "cube_main"),
-        },
-    )
+    sensors = Sensors(bodies=CUBE, touches=PADS)
     horizon = 100
     stages = ("near", "grasp", "lift")
     weights: ClassVar[Weights] = {
@@ -71,33 +61,12 @@ class Lift(Task):
         return Start(qpos)
 
     def measure(self, read: Measures) -> Measures:
-        """Add the cube's offset and distance from the tool, its height, its grasp.
-
-        to_cube [N, 3] m, distance [N] m, height [N] m above the table; grasped [N]
-        is robosuite's test, held [N] asks that the tool is around the cube, too.
-        """
-        to_cube = read["cube_pos"] - read["eef_pos"]
-        distance = np.linalg.norm(to_cube, axis=1)
-        grasped = (read["left_touch"] > 0) & (read["right_touch"] > 0)
-        return {
-            **read,
-            "to_cube": to_cube,
-            "distance": distance,
-            "height": read["cube_pos"][:, 2] - TABLE[2],
-            "grasped": grasped,
-            "held": grasped & (distance < AROUND),
-        }
+        """As `measure_cube`."""
+        return measure_cube(read)
 
     def observe(self, m: Measures) -> dict[str, Array]:
-        """The arm, then the cube: place, turn, offset from the tool, velocity."""
-        return {
-            **observe_arm(m, CENTRE),
-            "cube_pos": 4.0 * (m["cube_pos"] - TABLE),
-            "cube_quat": m["cube_quat"],
-            "to_cube": np.clip(10.0 * m["to_cube"], -5.0, 5.0),
-            "cube_linvel": m["cube_linvel"],
-            "touch": np.stack([m["left_touch"], m["right_touch"]], axis=1),
-        }
+        """The arm and the cube."""
+        return observe_cube(m)
 
     def reward_terms(self, m: Measures, reward: str) -> dict[str, Array]:
         """Terms of the shaped or the stock reward."""
@@ -110,7 +79,7 @@ class Lift(Task):
             }
         return {
             "reach": near(m["distance"], 0.2),
-            "grasp": m["held"] * ramp(m["gripper_closing"], -1.0, 1.0),
+            "grasp": closing(m),
             "lift": m["held"] * ramp(m["height"] - REST, 0.0, 0.05),
         }
 

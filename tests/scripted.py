@@ -11,6 +11,7 @@ from scripted_hang import tool_hang
 from manip.envs.registry import task_names
 from manip.envs.task import Measures
 from tasks.objects import rotation, yaw
+from tasks.scenes.cube import HALF
 from tasks.stack import STACKED
 
 Array = np.ndarray
@@ -28,13 +29,28 @@ def reach(m: Measures) -> Array:
 
 
 def lift(m: Measures) -> Array:
-    """Above the cube, down to it, close for good, and up once both pads touch."""
+    """Grasp the cube, and up."""
+    return _take_cube(m, then=np.tile([0.0, 0.0, 0.1], (len(m["to_cube"]), 1)))
+
+
+def pick_goal(m: Measures) -> Array:
+    """Grasp the cube, and straight to the goal."""
+    return _take_cube(m, then=m["to_goal"])
+
+
+def push(m: Measures) -> Array:
+    """Grasp the cube, and drag it over the table to the goal."""
+    return _take_cube(m, then=np.column_stack([m["to_goal"], HALF - m["height"]]))
+
+
+def _take_cube(m: Measures, then: Array) -> Array:
+    """Above the cube, down to it, close for good; `then` move once both pads touch."""
     offset = m["to_cube"].copy()
     aside = np.linalg.norm(offset[:, :2], axis=1)
     at_cube = m["distance"] < 0.012
     closing = at_cube | (m["gripper_closing"] > 0.1) | m["grasped"]
     offset[:, 2] += np.where(aside > 0.01, 0.06, 0.0) * ~closing
-    offset[m["grasped"]] = [0.0, 0.0, 0.1]
+    offset[m["grasped"]] = then[m["grasped"]]
     return _towards(offset, np.where(closing, 1.0, -1.0))
 
 
@@ -151,6 +167,8 @@ SCRIPTS = {
     "Lift": lift,
     "NutAssemblyRound": nut_assembly,
     "NutAssemblySquare": nut_assembly,
+    "PickGoal": pick_goal,
+    "Push": push,
     "Reach": reach,
     "Stack": stack,
     "ToolHang": tool_hang,

@@ -103,6 +103,8 @@ RANDOM_RUNS = (
     ("Door", "OSC_POSE"),
     ("NutAssemblyRound", "OSC_POSE"),
     ("NutAssemblySquare", "OSC_POSE"),
+    ("PickGoal", "OSC_POSE"),
+    ("Push", "OSC_POSE"),
     ("Stack", "OSC_POSE"),
     ("ToolHang", "OSC_POSE"),
 )
@@ -219,6 +221,17 @@ def hanging(name: str) -> Reading:
     return lambda r, s: float(ToolHang().measure(r)[name][0])
 
 
+CUBE: dict[str, Reading] = {
+    "cube_pos": lambda r, s: r["cube_pos"][0],
+    "cube_quat": lambda r, s: wxyz_to_xyzw(r["cube_quat"][0]),
+    "gripper_to_cube_pos": lambda r, s: r["cube_pos"][0] - r["eef_pos"][0],
+}
+
+CUBE_AND_GOAL: dict[str, Reading] = CUBE | {
+    "goal_pos": lambda r, s: r["goal_pos"][0],
+    "cube_to_goal_pos": lambda r, s: r["goal_pos"][0] - r["cube_pos"][0],
+}
+
 OBJECT_READINGS: dict[str, dict[str, Reading]] = {
     "Door": {
         "door_pos": lambda r, s: r["door_pos"][0],
@@ -228,13 +241,11 @@ OBJECT_READINGS: dict[str, dict[str, Reading]] = {
         "hinge_qpos": lambda r, s: r["hinge_qpos"][0, 0],
         "handle_qpos": lambda r, s: r["handle_qpos"][0, 0],
     },
-    "Lift": {
-        "cube_pos": lambda r, s: r["cube_pos"][0],
-        "cube_quat": lambda r, s: wxyz_to_xyzw(r["cube_quat"][0]),
-        "gripper_to_cube_pos": lambda r, s: r["cube_pos"][0] - r["eef_pos"][0],
-    },
+    "Lift": CUBE,
     "NutAssemblyRound": pose_readings("RoundNut", "nut"),
     "NutAssemblySquare": pose_readings("SquareNut", "nut"),
+    "PickGoal": CUBE_AND_GOAL,
+    "Push": CUBE_AND_GOAL,
     "Reach": {
         "goal_pos": lambda r, s: r["goal_pos"][0],
         "gripper_to_goal_pos": lambda r, s: r["goal_pos"][0] - r["eef_pos"][0],

@@ -204,7 +204,7 @@ def refusal(found: Result) -> str:
     ("command", "told"),
     [
         ("trian", "unknown program 'trian': did you mean 'train'? known programs: "),
-        ("train --task Raech", "did you mean 'Reach'? known tasks: .*Lift, Reach"),
+        ("train --task Raech", "did you mean 'Reach'? known tasks: .*Lift.*Reach"),
         ("train --task no.module:Task", "cannot import task 'no.module:Task'"),
         ("train --task json:dumps", "must be a subclass of manip.envs.Task"),
         ("train --algo dqn", "unknown algorithm 'dqn': known algorithms: sac, ppo"),

@@ -1,0 +1,73 @@
+"""What tasks with one cube share: how it is sensed, measured and observed."""
+
+import numpy as np
+
+from manip.envs.streams import EpisodeStreams
+from manip.envs.task import Measures
+from manip.rewards.kernels import ramp
+from manip.sim.model import Scene
+from tasks.arm import observe_arm, start_qpos
+from tasks.objects import poses
+
+Array = np.ndarray
+
+TABLE = np.array([0.0, 0.0, 0.8])
+"""Centre of the table top [m] (robosuite/environments/manipulation/lift.py)."""
+CENTRE = TABLE + np.array([0.0, 0.0, 0.15])
+"""Origin [m] of the tool's place in observations."""
+AROUND = 0.02
+"""Distance [m] of the tool from the cube's centre, below which it is around it."""
+
+CUBE = {"cube": "cube_main"}
+PADS = {
+    "left_touch": ("left_fingerpad", "cube_main"),
+    "right_touch": ("right_fingerpad", "cube_main"),
+}
+
+
+def start_cube(
+    scene: Scene, streams: EpisodeStreams, spots: Array, height: float
+) -> Array:
+    """[n, nq]: the arm at its start, the cube at `spots` [n, 2] m, with any yaw.
+
+    height: of the cube's centre above the table [m].
+    """
+    qpos = start_qpos(scene, streams)
+    qpos[:, scene.free_qpos("cube_main")] = poses(streams, spots, TABLE[2] + height)
+    return qpos
+
+
+def measure_cube(read: Measures) -> dict[str, Array]:
+    """Add the cube's offset and distance from the tool, its height, its grasp.
+
+    to_cube [N, 3] m, distance [N] m, height [N] m above the table; grasped [N] is
+    robosuite's test, held [N] asks that the tool is around the cube, too.
+    """
+    to_cube = read["cube_pos"] - read["eef_pos"]
+    distance = np.linalg.norm(to_cube, axis=1)
+    grasped = (read["left_touch"] > 0) & (read["right_touch"] > 0)
+    return {
+        **read,
+        "to_cube": to_cube,
+        "distance": distance,
+        "height": read["cube_pos"][:, 2] - TABLE[2],
+        "grasped": grasped,
+        "held": grasped & (distance < AROUND),
+    }
+
+
+def observe_cube(m: Measures) -> dict[str, Array]:
+    """The arm, then the cube: place, turn, offset from the tool, velocity, touch."""
+    return {
+        **observe_arm(m, CENTRE),
+        "cube_pos": 4.0 * (m["cube_pos"] - TABLE),
+        "cube_quat": m["cube_quat"],
+        "to_cube": np.clip(10.0 * m["to_cube"], -5.0, 5.0),
+        "cube_linvel": m["cube_linvel"],
+        "touch": np.stack([m["left_touch"], m["right_touch"]], axis=1),
+    }
+
+
+def closing(m: Measures) -> Array:
+    """[N] in [0, 1]: how far the gripper is told to close, while it holds the cube."""
+    return m["held"] * ramp(m["gripper_closing"], -1.0, 1.0)

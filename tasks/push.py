@@ -1,0 +1,108 @@
+"""Push: slide a cube to a goal on the table. Our own robosuite `Push`.
+
+Success: the cube's centre is within 3 cm of the goal, horizontally, and less than 1 cm
+    above its rest on the table.
+Failure: none; an episode ends by time.
+Start: goal uniform in a rectangle of 24 x 40 cm about the table's centre, cube uniform
+    in one of 20 x 30 cm and at least 10 cm from the goal, any yaw, on the table; arm in
+    its default pose with 0.02 rad noise a joint, gripper half open. The cube's edge is
+    4 cm. The gripper is free: an arm may push, cage or drag.
+Shaped reward, in [0, 1] a step: 0.2 reach + 0.4 slide + 0.4 at_goal, where reach is
+    1 - tanh(5 d) of the tool-cube distance d [m], slide is 1 - tanh(5 r) of the cube's
+    horizontal distance r [m] from the goal, and at_goal falls from 1 within 1 cm to
+    0.1 at 5 cm beyond it; the last two are paid only while the cube is on the table.
+"""
+
+from typing import ClassVar
+
+import numpy as np
+
+from manip.envs.streams import EpisodeStreams
+from manip.envs.task import Measures, Start, Task, Weights
+from manip.rewards.kernels import near, tolerance
+from manip.sim.handles import Sensors
+from manip.sim.model import Scene
+from tasks.cube import CUBE, PADS, TABLE, measure_cube, observe_cube, start_cube
+from tasks.objects import rotation, scatter, turns, yaw
+from tasks.scenes.cube import HALF, SPREAD
+from tasks.scenes.push import APART, DOWN, GOAL_HIGH, REACHED
+
+Array = np.ndarray
+
+
+class Push(Task):
+    """Slide the cube to the goal; see the module's docstring for the numbers."""
+
+    robosuite_name = "Push"
+    sensors = Sensors(
+        bodies=CUBE,
+        sites={"goal": "goal"},
+        touches=PADS,
+        fields={"goal_place": ("site_pos", "goal")},
+    )
+    horizon = 100
+    stages = ("near", "close", "push")
+    weights: ClassVar[Weights] = {
+        "shaped": {"reach": 0.2, "slide": 0.4, "at_goal": 0.4},
+        "stock": {"reach": 0.25, "slide": 0.5, "push": 1.0},
+    }
+
+    def sample_start(self, scene: Scene, streams: EpisodeStreams) -> Start:
+        """Place goal and cube; see the module's docstring."""
+        half = {"goal": (GOAL_HIGH - TABLE)[:2], "cube": SPREAD}
+        spots = scatter(streams, half, dict.fromkeys(half, APART / 2))
+        goal = np.column_stack([spots["goal"], np.full(len(streams), TABLE[2])])
+        qpos = start_cube(scene, streams, spots["cube"], HALF)
+        return Start(qpos, {"goal_place": goal})
+
+    def measure(self, read: Measures) -> Measures:
+        """Add what `measure_cube` does, and where the goal is from the cube.
+
+        to_goal [N, 2] m horizontal, gap [N] m its length; down [N]: cube on the table.
+        """
+        m = measure_cube(read)
+        to_goal = (read["goal_pos"] - read["cube_pos"])[:, :2]
+        return {
+            **m,
+            "to_goal": to_goal,
+            "gap": np.linalg.norm(to_goal, axis=1),
+            "down": m["height"] - HALF < DOWN,
+        }
+
+    def observe(self, m: Measures) -> dict[str, Array]:
+        """The arm and the cube, its turn from the tool's, then the goal."""
+        turn = yaw(rotation(m["cube_quat"])) - yaw(m["eef_mat"])
+        return {
+            **observe_cube(m),
+            "turn": turns(4.0 * turn),
+            "goal_pos": 4.0 * (m["goal_pos"] - TABLE)[:, :2],
+            "to_goal": np.clip(10.0 * m["to_goal"], -5.0, 5.0),
+            "to_goal_fine": 50.0 * np.clip(m["to_goal"], -0.02, 0.02),
+        }
+
+    def reward_terms(self, m: Measures, reward: str) -> dict[str, Array]:
+        """Terms of the shaped or the stock reward."""
+        if reward == "stock":
+            pending = ~self.success(m)
+            return {
+                "reach": pending * near(m["distance"], 0.1),
+                "slide": pending * near(m["gap"], 0.1),
+                "push": self.success(m).astype(float),
+            }
+        return {
+            "reach": near(m["distance"], 0.2),
+            "slide": m["down"] * near(m["gap"], 0.2),
+            "at_goal": m["down"] * tolerance(m["gap"], 0.0, 0.01, margin=0.05),
+        }
+
+    def success(self, m: Measures) -> Array:
+        """The cube is on the table, within 3 cm of the goal."""
+        return m["down"] & (m["gap"] < REACHED)
+
+    def reached(self, m: Measures) -> dict[str, Array]:
+        """near: tool within 5 cm of the cube; close: cube within 6 cm of the goal."""
+        return {
+            "near": m["distance"] < 0.05,
+            "close": m["down"] & (m["gap"] < 2 * REACHED),
+            "push": self.success(m),
+        }
