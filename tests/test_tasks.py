@@ -19,6 +19,7 @@ from manip.sim.stock import reseed
 from tasks.door import Door
 from tasks.lift import Lift
 from tasks.scenes.reach import GOAL_HIGH, GOAL_LOW
+from tasks.stack import Stack
 
 Array = np.ndarray
 
@@ -304,6 +305,18 @@ def test_door_stands_where_it_says(door: Task, door_scene: Scene) -> None:
     assert np.ptp(yaw) > 14
 
 
+def test_stack_places_its_cubes_apart(scene_of) -> None:
+    task = Stack()
+    scene = scene_of(task)
+    found = starts(task, scene, 500)
+    a, b = (found[:, scene.free_qpos(f"cube{name}_main")] for name in "AB")
+    radii = np.sqrt(2) * (0.02 + 0.025)
+    assert radii < np.linalg.norm(a[:, :2] - b[:, :2], axis=1).min() < radii + 0.003
+    for cube, half in (a, 0.02), (b, 0.025):
+        np.testing.assert_allclose(np.abs(cube[:, :2]).max(axis=0), 0.08, atol=0.002)
+        np.testing.assert_allclose(cube[:, 2], 0.8 + 0.01 + half)
+
+
 def test_reach_draws_its_goals_in_the_box(reach: Task, reach_scene: Scene) -> None:
     goals = starts(reach, reach_scene, 500)[:, -3:]
     assert ((goals >= GOAL_LOW) & (goals <= GOAL_HIGH)).all()
@@ -348,6 +361,35 @@ def test_door_pays_as_its_docstring_says() -> None:
     turned = [0.25 + 0.25 * angle / (np.pi / 2) for angle in (0.6, 1.2)]
     expected = [0.25 * (1 - np.tanh(2)), *turned, 0.25, 0.25, 1]
     np.testing.assert_allclose(stock, expected)
+
+
+def test_stack_pays_as_its_docstring_says_and_more_each_stage() -> None:
+    b, above = np.array([0.1, 0.0, 0.825]), 0.045
+    lying, lifted = [-0.1, 0.0, 0.82], [-0.1, 0.0, 0.845]
+    offsets = [[0, 0, above + 0.05], [0, 0, above + 0.001], *[[0, 0, above]] * 3]
+    a = np.vstack([[lying] * 3, lifted, b + offsets])
+    far, closing = [0.2, *[0.0] * 8], [-1, -1, 1, 1, 1, 1, 1, 0, -1]
+    read = {
+        "a_pos": a,
+        "b_pos": np.tile(b, (9, 1)),
+        "eef_pos": a + np.outer(far, [0, 0, 1]),
+        "left_touch": np.array([0.0, 0, 1, 1, 1, 1, 1, 1, 0]),
+        "right_touch": np.array([0.0, 1, 1, 1, 1, 1, 1, 1, 0]),
+        "cubes_touch": np.array([0.0, 0, 0, 0, 0, 0, 1, 1, 1]),
+        "gripper_closing": np.array(closing, dtype=float),
+    }
+    task = Stack()
+    m = task.measure(read)
+    shaped = weighted_sum(task.reward_terms(m, "shaped"), task.weights["shaped"])
+    aside, tanh = 0.2, np.tanh
+    half_up = 0.25 + 0.075 + 0.125 * (1 - tanh(6 * aside))
+    held = [0.1 * (1 - tanh(1)), 0.1, 0.25, half_up, 0.65, 0.65 + 0.098]
+    np.testing.assert_allclose(shaped, [*held, 0.8, 0.89, 1])
+    assert (np.diff(shaped) > 0).all()
+    assert task.success(m).tolist() == [False] * 8 + [True]
+    stock = weighted_sum(task.reward_terms(m, "stock"), task.weights["stock"])
+    low = [0.125 * (1 - tanh(2)), 0.125, 0.25, 0.5 + 0.25 * (1 - tanh(aside))]
+    np.testing.assert_allclose(stock, [*low, *[0.75] * 4, 1])
 
 
 def test_lift_pays_as_its_docstring_says() -> None:
