@@ -30,7 +30,7 @@ from manip.rewards.kernels import near, ramp
 from manip.sim.handles import Sensors
 from manip.sim.model import Scene
 from tasks.arm import observe_arm, start_qpos, yaw_quaternion
-from tasks.objects import rotation, turns, yaw
+from tasks.objects import PARKED, rotation, turns, yaw
 
 Array = np.ndarray
 
@@ -40,8 +40,6 @@ CENTRE = np.array([0.05, 0.0, 0.95])
 """Origin [m] of the tool's place in observations."""
 START_LOW, START_HIGH = np.array([-0.115, 0.11, 0.89]), np.array([-0.11, 0.225, 0.89])
 """Where a nut's centre starts [m], mirrored for the round one (ibid.)."""
-AWAY = np.array([10.0, 10.0, 10.0, 1.0, 0.0, 0.0, 0.0])
-"""Where robosuite puts the other nut (environments/base.py, clear_objects)."""
 REST = 0.83
 """Height [m] of the centre of a nut that lies on the table."""
 TOP = 0.95
@@ -93,7 +91,7 @@ class NutAssembly(Task):
         place = streams.uniform(START_LOW, START_HIGH, 3) * [1, self.side, 1]
         turn = yaw_quaternion(streams.uniform(0, 2 * np.pi, 1)[:, 0])
         qpos[:, scene.free_qpos(self.nut)] = np.concatenate([place, turn], axis=1)
-        qpos[:, scene.free_qpos(self.other)] = AWAY
+        qpos[:, scene.free_qpos(self.other)] = PARKED
         return Start(qpos)
 
     def measure(self, read: Measures) -> Measures:

@@ -9,6 +9,8 @@ from tasks.arm import yaw_quaternion
 
 Array = np.ndarray
 
+PARKED = np.array([10.0, 10.0, 10.0, 1.0, 0.0, 0.0, 0.0])
+"""Where robosuite drops what it does not use (environments/base.py, clear_objects)."""
 TRIES = 128
 """Places drawn for each object; at most half of them are taken by other objects."""
 

@@ -3,6 +3,8 @@
 Each maps measures [N, ...] to OSC_POSE actions [N, 7] and remembers nothing.
 """
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -10,7 +12,9 @@ from scripted_hang import tool_hang
 
 from manip.envs.registry import task_names
 from manip.envs.task import Measures
+from manip.rewards.kernels import ramp
 from tasks.objects import rotation, yaw
+from tasks.pick_place import BIN
 from tasks.scenes.cube import HALF
 from tasks.stack import STACKED
 
@@ -83,6 +87,44 @@ def _quarter(angle: Array, m: Measures) -> Array:
     """Smallest turn [rad] of the tool that brings it to `angle`, give or take 90°."""
     error = angle - yaw(m["eef_mat"])
     return error - np.pi / 2 * np.round(error / (np.pi / 2))
+
+
+def pick_place(m: Measures, folds: int) -> Array:
+    """Take the object as it is turned, carry it over its place, down, and let go."""
+    offset, grip = m["to_grip"].copy(), m["gripper_closing"]
+    turn = _clear_of_walls(m, folds) if folds else np.zeros(len(grip))
+    aside = np.linalg.norm(offset[:, :2], axis=1)
+    apart = (aside > 0.01 + 0.01 * ramp(offset[:, 2], -0.05, 0.0)) | (abs(turn) > 0.1)
+    still = (np.abs(m["joint_vel"]).max(axis=1) < 0.1) & (offset[:, 2] > -0.03)
+    at_grip = (np.linalg.norm(offset, axis=1) < 0.012) | (still & ~apart)
+    letting = m["over"] & (~m["grasped"] | (m["height"] < 0.03) | (grip < 0.9))
+    closing = (m["grasped"] | at_grip | (~apart & (grip > -0.9))) & ~letting
+    offset[:, 2] += np.where(apart & ~closing, 0.07, 0.0)
+    carried = m["grasped"] & (grip > 0.9)
+    offset = np.where(carried[:, None], _across(m), offset)
+    leave = np.where(m["grasped"], 0.0, 0.1)[:, None] * UP
+    offset = np.where(letting[:, None], leave, offset)
+    action = _towards(offset, np.where(closing, 1.0, -1.0))
+    action[:, 3:6] = _upright(m["eef_mat"], turn * ~closing * ~letting)
+    return action
+
+
+def _clear_of_walls(m: Measures, folds: int) -> Array:
+    """Turn [rad] of the tool that lays the fingers along the wider gap to the walls."""
+    gap = [0.2, 0.25] - np.abs(m["object_pos"][:, :2] - BIN[:2])
+    wide, period = np.pi / 2 * (gap[:, 1] > gap[:, 0]), 2 * np.pi / folds
+    angle = yaw(m["turned"]) + np.pi / 2
+    angle += period * np.round((wide - angle) / period)
+    turn = angle - yaw(m["eef_mat"])
+    return turn - np.pi * np.round(turn / np.pi)
+
+
+def _across(m: Measures) -> Array:
+    """12 cm up before the wall, across, and down less than 5 cm from its place."""
+    there = np.linalg.norm(m["to_place"], axis=1) < 0.05
+    clear = there | (m["height"] > 0.09) | (m["object_pos"][:, 1] < -0.12)
+    down = np.where(there, 0.0, 0.12) - m["height"]
+    return np.column_stack([m["to_place"] * clear[:, None], down])
 
 
 def door(m: Measures) -> Array:
@@ -168,6 +210,10 @@ SCRIPTS = {
     "NutAssemblyRound": nut_assembly,
     "NutAssemblySquare": nut_assembly,
     "PickGoal": pick_goal,
+    "PickPlaceBread": partial(pick_place, folds=4),
+    "PickPlaceCan": partial(pick_place, folds=0),
+    "PickPlaceCereal": partial(pick_place, folds=2),
+    "PickPlaceMilk": partial(pick_place, folds=4),
     "Push": push,
     "Reach": reach,
     "Stack": stack,

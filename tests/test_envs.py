@@ -10,7 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from tiny import Tiny
 from torch import Tensor
 from torchrl.envs.utils import check_env_specs
-from twin import RESYNCED, copy_start, copy_state
+from twin import copy_start
 
 from manip.envs.registry import load_task, task_names
 from manip.envs.task import Task
@@ -140,24 +140,39 @@ EQUAL = ("stages", "success", "terminated", "truncated", "done")
 def test_native_says_what_stock_says(reward: str, task: Task, scene: Scene) -> None:
     theirs = StockEnv(task, stock=scene.stock, reward=reward, seed=11)
     ours = native(task, scene, 2, reward=reward)
-    ours.reset()
-    state = theirs.reset()
-    copy_start(task, ours.worlds.engine, range(2))
-    assert_say_the_same(ours.look(), state, ("observation", "reward_terms"))
-    chance, script = actions(10, 1), SCRIPTS[task.name]
-    resync = RESYNCED.get(task.name)
-    for step in range(task.horizon):
-        if resync and step % resync == 0:
-            copy_state(task, ours.worlds.engine, range(2))
+    begin_the_same(ours, theirs)
+    for move in actions(10, 1):
+        step_the_same(ours, theirs, move)
+
+
+@pytest.mark.parametrize("name", ["Door", "Lift", "Reach"])
+def test_native_says_what_stock_says_until_success(name: str, scene_of) -> None:
+    """Whatever the task: test_parity.py follows all of them, as they are measured."""
+    task = load_task(name)
+    theirs = StockEnv(task, stock=scene_of(task).stock, seed=11)
+    ours = native(task, scene_of(task), 2)
+    begin_the_same(ours, theirs)
+    for _ in range(task.horizon):
         read = {k: v[:1] for k, v in ours.worlds.engine.read().items()}
-        move = script(task.measure(read)).astype(np.float32)
-        move = chance[step] if step < len(chance) else torch.from_numpy(move)
-        theirs_after = theirs.step(TensorDict(action=move, batch_size=[1]))["next"]
-        ours_after = ours.step(TensorDict(action=move.expand(2, -1), batch_size=[2]))
-        assert_say_the_same(ours_after["next"], theirs_after, SAME)
-        if theirs_after["success"].all():
+        move = SCRIPTS[name](task.measure(read)).astype(np.float32)
+        if step_the_same(ours, theirs, torch.from_numpy(move))["success"].all():
             return
     pytest.fail("the script did not succeed")
+
+
+def begin_the_same(ours: NativeEnv, theirs: StockEnv) -> None:
+    ours.reset()
+    state = theirs.reset()
+    copy_start(ours.worlds.task, ours.worlds.engine, range(2))
+    assert_say_the_same(ours.look(), state, ("observation", "reward_terms"))
+
+
+def step_the_same(ours: NativeEnv, theirs: StockEnv, move: Tensor) -> TensorDictBase:
+    """Do an action [1, 7] in stock and in both worlds; what came of it in stock."""
+    after = theirs.step(TensorDict(action=move, batch_size=[1]))["next"]
+    both = ours.step(TensorDict(action=move.expand(2, -1), batch_size=[2]))
+    assert_say_the_same(both["next"], after, SAME)
+    return after
 
 
 def assert_say_the_same(ours, theirs, close: tuple[str, ...]) -> None:

@@ -9,9 +9,16 @@ from manip.sim.engine import BatchEngine
 from manip.sim.reader import stock_reader
 from manip.sim.stock import reseed
 
-RESYNCED = dict.fromkeys(("NutAssemblyRound", "NutAssemblySquare", "ToolHang"), 5)
+RESYNCED = {
+    "NutAssemblyRound": 5,
+    "NutAssemblySquare": 5,
+    "PickPlaceCan": 1,
+    "PickPlaceMilk": 1,
+    "ToolHang": 5,
+}
 """Steps after which a scripted twin is put where stock is: what slides along a peg or
-into a post with a millimetre of play turns differences of 1e-8 into millimetres."""
+into a post with a millimetre of play turns differences of 1e-8 into millimetres, and
+what rattles between the fingers 1e-10 into 1e-5 at once."""
 
 
 def start_twin(task: Task, engine: BatchEngine, worlds: Iterable[int], seed: int):

@@ -30,6 +30,8 @@ class Sensors:
         like; gives `<name>` [1], 1 in touch.
     fields: name -> (model array, object), such as ("site_pos", "goal"): entries of
         the model that every world has for itself and a reset may set.
+    parked: bodies that the task drops out of the way; the fast fidelity does not hold
+        them up.
     """
 
     bodies: Mapping[str, str] = field(default_factory=dict)
@@ -37,6 +39,7 @@ class Sensors:
     joints: Mapping[str, str] = field(default_factory=dict)
     touches: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     fields: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    parked: tuple[str, ...] = ()
 
 
 _PADS = {

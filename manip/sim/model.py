@@ -47,11 +47,14 @@ def build_scene(
     """Compile the scene of a stock environment made by `make_stock`.
 
     fidelity: "exact" is robosuite's own physics (2 ms); "fast" takes 5 ms steps and
-        leaves out the collisions of the arm's links, for training and sweeps.
+        leaves out the collisions of the arm's links, and of parked bodies with the
+        floor, for training and sweeps.
     """
     handles = find_handles(stock, sensors)
     dt = FAST_DT if fidelity == "fast" else PHYSICS_DT
     spec = _physics(stock, fidelity, dt)
+    if fidelity == "fast":
+        _let_fall(spec, sensors.parked)
     owners = []
     for index, touch in enumerate(handles.touches):
         owners += [index] * _add_touch_sensors(spec, touch)
@@ -112,6 +115,12 @@ def _strip(spec: mujoco.MjSpec, stock: Any, fidelity: Fidelity) -> None:
             spec.delete(mesh)
     for part in (*spec.materials, *spec.textures):
         spec.delete(part)
+
+
+def _let_fall(spec: mujoco.MjSpec, parked: tuple[str, ...]) -> None:
+    """Let bodies fall through the floor, where resting would cost contacts."""
+    for body in parked:
+        spec.add_exclude(bodyname1="world", bodyname2=body)
 
 
 def _add_touch_sensors(spec: mujoco.MjSpec, touch: Touch) -> int:
