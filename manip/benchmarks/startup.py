@@ -96,7 +96,8 @@ def _seconds(program: str, cache: Path) -> float:
     )
     last = done.stdout.splitlines()[-1:] or [""]
     if done.returncode or not last[0].startswith("done "):
-        raise UserError(f"a start failed: {done.stderr.strip()[-200:]}")
+        why = done.stderr.strip().splitlines()[-1:]
+        raise UserError(f"a start failed: {''.join(why)}")
     return float(last[0].removeprefix("done ")) - began
 
 
