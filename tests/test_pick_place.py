@@ -1,0 +1,123 @@
+"""PickPlace: the numbers that its docstring states."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from manip.envs.streams import EpisodeStreams
+from manip.rewards.compose import weighted_sum
+from manip.sim.engine import BatchEngine
+from tasks.pick_place import (
+    ITEMS,
+    PickPlace,
+    PickPlaceBread,
+    PickPlaceCan,
+    PickPlaceCereal,
+    PickPlaceMilk,
+)
+
+TASKS = (PickPlaceBread, PickPlaceCan, PickPlaceCereal, PickPlaceMilk)
+
+
+def stages(task: PickPlace) -> dict[str, np.ndarray]:
+    """Far, near, grasped, 8 cm up, up, over, opened there, just let go, inside."""
+    item = ITEMS[task.item]
+    place = np.array([*item.place, 0.0])
+    offsets = np.zeros((9, 3))
+    offsets[:5, 1] = -0.5
+    offsets[:, 2] = 0.8 + item.stand + np.array([0, 0, 0, 8, 20, 15, 15, 15, 0]) / 100
+    offsets[8, 2] = 0.87
+    position = place + offsets
+    above = np.array([item.grip + 0.2, *[item.grip] * 7, 0.1])
+    touch = np.array([0.0, 0, 1, 1, 1, 1, 1, 0, 0])
+    read = {
+        "object_pos": position,
+        "object_quat": np.tile([1.0, 0, 0, 0], (9, 1)),
+        "other_Cereal_pos": np.tile([10.0, 10, 0.0], (9, 1)),
+        "eef_pos": position + np.outer(above, [0, 0, 1]),
+        "left_touch": touch,
+        "right_touch": np.maximum(touch, [0, 0, 0, 0, 0, 0, 0, 1, 0]),
+        "gripper_closing": np.array([-1.0, -1, 1, 1, 1, 1, 0, 0, -1]),
+    }
+    return task.measure(read)
+
+
+@pytest.mark.parametrize("cls", TASKS)
+def test_it_pays_as_its_docstring_says_and_more_each_stage(cls) -> None:
+    task, tanh = cls(), np.tanh
+    m, item = stages(task), ITEMS[cls.item]
+    shaped = weighted_sum(task.reward_terms(m, "shaped"), task.weights["shaped"])
+    carried = 0.25 * (1 - 0.5 / 0.75)
+    held = [0.25, 0.25 + 0.4 * (0.15 + carried), 0.4 + carried, 0.7, 0.75]
+    gone = 0.8 + 0.2 * 0.5 * np.clip(item.grip / (np.arctanh(0.4) / 10), 0, 1)
+    expected = [0.1 * (1 - tanh(1)), 0.1, *held, gone, 1]
+    np.testing.assert_allclose(shaped, expected)
+    assert (np.diff(shaped) > 0).all()
+    assert task.success(m).tolist() == [False] * 8 + [True]
+
+
+@pytest.mark.parametrize("cls", TASKS)
+def test_stages_are_reached_one_after_the_other(cls) -> None:
+    task = cls()
+    reached = task.reached(stages(task))
+    first = [int(np.argmax(reached[name])) for name in task.stages]
+    assert first == [1, 2, 4, 5, 5, 8]
+
+
+def test_the_stock_reward_counts_from_the_highest_object() -> None:
+    task, tanh = PickPlaceCan(), np.tanh
+    m = stages(task)
+    weights = task.weights["stock"]
+    stock = weighted_sum(task.reward_terms(m, "stock"), weights)
+    far = 0.2 * (1 - tanh(5))
+    lift = [0.35 + 0.15 * (1 - tanh(15 * below)) for below in (0.19, 0.11, 0)]
+    first = [max(0.1 * (1 - tanh(2)), far), 0.1, *(each + far for each in lift)]
+    np.testing.assert_allclose(stock, [*first, 0.7, 0.7, 0.7, 1])
+    m["other_Cereal_pos"][:, 2] = 5.0
+    stock = weighted_sum(task.reward_terms(m, "stock"), weights)
+    np.testing.assert_allclose(stock[2:5], 0.5 + far)
+
+
+@pytest.mark.parametrize("cls", TASKS)
+def test_boxes_are_those_of_the_meshes(cls, scene_of) -> None:
+    task = cls()
+    model, item = scene_of(task).physics, ITEMS[cls.item]
+    (geom,) = np.flatnonzero(model.geom_bodyid == model.body(f"{cls.item}_main").id)
+    mesh, turn = model.geom_dataid[geom], np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+    start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    points = model.mesh_vert[start : start + count] @ turn.reshape(3, 3).T
+    points += model.geom_pos[geom]
+    np.testing.assert_allclose(points.min(axis=0), item.low, atol=1e-3)
+    np.testing.assert_allclose(points.max(axis=0), item.high, atol=1e-3)
+
+
+@pytest.mark.parametrize("cls", TASKS)
+def test_objects_start_where_it_says(cls, scene_of) -> None:
+    task, worlds = cls(), np.arange(500)
+    scene = scene_of(task)
+    qpos = task.sample_start(scene, EpisodeStreams(0, worlds, worlds)).qpos
+    found = {name: qpos[:, scene.free_qpos(f"{name}_main")] for name in ITEMS}
+    mine, item = found.pop(cls.item), ITEMS[cls.item]
+    spread = np.array([0.145, 0.195]) - item.radius
+    inside = np.abs(mine[:, :2] - [0.1, -0.25]).max(axis=0)
+    assert (inside <= spread).all()
+    np.testing.assert_allclose(inside, spread, atol=0.003)
+    np.testing.assert_allclose(mine[:, 2], 0.8 + item.stand)
+    parked = np.tile([10.0, 10, 10, 1, 0, 0, 0], (500, 1))
+    for other in found.values():
+        np.testing.assert_array_equal(other, parked)
+
+
+def test_the_floor_holds_parked_objects_in_exact_physics_only(scene_of) -> None:
+    task, low = PickPlaceCan(), {}
+    for fidelity in "exact", "fast":
+        engine = BatchEngine(scene_of(task, fidelity=fidelity), 1)
+        start = task.sample_start(engine.scene, EpisodeStreams(0, [0], [0]))
+        engine.write(np.arange(1), *start)
+        for _ in range(50):
+            engine.step(np.zeros((1, 7)))
+        low[fidelity] = engine.read()["other_Milk_pos"][0, 2]
+        assert engine.read()["object_pos"][0, 2] == pytest.approx(0.86, abs=2e-3)
+    assert 0 < low["exact"] < 0.1
+    assert low["fast"] < -1
