@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from manip.envs.bank import EVERY, StateBank
 from manip.envs.check import check_start
 from manip.envs.streams import EpisodeStreams
 from manip.envs.task import Measures, Task
-from manip.envs.worlds import Worlds
+from manip.envs.worlds import Moment, Worlds
 from manip.sim.engine import BatchEngine, Snapshot
 from manip.sim.model import Fidelity, Scene, load_scene
 
@@ -24,6 +25,8 @@ class NativeWorlds(Worlds):
         threads: native threads; the CPUs this process may use unless given.
         stagger: begin the first episodes at random times, so that the worlds do not
             all end at once.
+        own_starts: share of the episodes that begin in a state which the worlds have
+            been in before (see `manip.envs.bank`).
         scene: a compiled scene to share, instead of building one.
         dumps: folder for the states of worlds that break, one file each (see
             `manip.trees.load_tree`); nothing is kept unless given.
@@ -44,6 +47,7 @@ class NativeWorlds(Worlds):
         reward: str = "shaped",
         seed: int = 0,
         stagger: bool = False,
+        own_starts: float = 0.0,
         scene: Scene | None = None,
         dumps: Path | None = None,
     ) -> None:
@@ -52,6 +56,9 @@ class NativeWorlds(Worlds):
         )
         self.engine = BatchEngine(self.scene, num_worlds, threads)
         self._stagger = stagger
+        self._own_starts = own_starts
+        stages = len(task.stages)
+        self._bank = StateBank(stages, self.engine.save()) if own_starts else None
         self._dumps = dumps
         action_dim = self.scene.handles.action_dim
         super().__init__(task, num_worlds, action_dim, horizon, reward, seed)
@@ -65,6 +72,15 @@ class NativeWorlds(Worlds):
         """A copy of the stock model with the world's model fields."""
         return self.engine.visual_model(self.engine.states[world])
 
+    def step(self, action: np.ndarray) -> Moment:
+        """As `Worlds.step`; the bank looks at every world once in a while."""
+        moment = super().step(action)
+        if self._bank:
+            now = (self.elapsed + np.arange(self.num_worlds)) % EVERY == 0
+            stages = np.stack([*moment.stages.values()], axis=1)
+            self._bank.keep(self.engine.save(now), stages[now])
+        return moment
+
     def _start_episodes(self, worlds: np.ndarray) -> None:
         episodes = self.episode[worlds]
         streams = EpisodeStreams(self.seed, worlds, episodes)
@@ -74,6 +90,11 @@ class NativeWorlds(Worlds):
             first = episodes == 0
             begun = streams.uniform(0, self.horizon, 1)[:, 0].astype(np.int64)
             self.elapsed[worlds[first]] = begun[first]
+        if self._bank and not self._bank.empty:
+            again = streams.uniform(0, 1, 1)[:, 0] < self._own_starts
+            past = self._bank.draw(streams)
+            past = Snapshot(past.states[again], past.readings[again])
+            self.engine.restore(past, worlds[again])
 
     def _move(self, action: np.ndarray) -> np.ndarray:
         self.engine.step(action)
@@ -109,6 +130,7 @@ class NativeWorlds(Worlds):
             "elapsed": self.elapsed.copy(),
             "episode": self.episode.copy(),
             "broken_count": self.engine.broken_count,
+            "bank": self._bank and self._bank.save_state(),
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
@@ -121,3 +143,5 @@ class NativeWorlds(Worlds):
         self.elapsed[:] = state["elapsed"]
         self.episode[:] = state["episode"]
         self.engine.broken_count = state["broken_count"]
+        if self._bank:
+            self._bank.load_state(state["bank"])

@@ -37,6 +37,7 @@ def training_env(config: TrainConfig) -> NativeEnv:
         reward=config.reward,
         seed=config.seed,
         stagger=True,
+        own_starts=config.own_starts,
         dumps=config.folder / "dumps",
     )
 

@@ -56,6 +56,8 @@ class TrainConfig:
     """Physics while training; evaluation is always exact."""
     reward: Literal["shaped", "stock"] = "shaped"
     """Reward set: ours, or robosuite's own shaped reward."""
+    own_starts: float = 0.0
+    """Share of the training episodes that begin where an earlier one has been."""
     threads: int | None = None
     """Threads of physics and learner; the CPUs this process may use unless given."""
     overlap: bool = True
@@ -76,6 +78,8 @@ class TrainConfig:
             for name in AT_LEAST_ONE:
                 at_least(1, name, getattr(options, name, 1))
         at_least(0, "seed", self.seed)
+        if not 0 <= self.own_starts <= 1:
+            raise UserError(f"own_starts must be from 0 to 1, not {self.own_starts}")
 
     @property
     def folder(self) -> Path:
