@@ -7,16 +7,28 @@ import os
 import tempfile
 import warnings
 from collections.abc import Callable
+from functools import cache
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numba
 
+_HERE = Path(__file__).parent
 
+
+@cache
 def cache_folder() -> Path:
-    """Folder that holds compiled code: NUMBA_CACHE_DIR, else beside this package."""
+    """Folder of the compiled code: in NUMBA_CACHE_DIR, else beside this package.
+
+    Each state of the sources has its own: numba compiles a function anew when its own
+    file changes, but not when a file does whose functions it calls.
+    """
     chosen = os.environ.get("NUMBA_CACHE_DIR")
-    return Path(chosen) if chosen else Path(__file__).parent / "__pycache__"
+    folder = Path(chosen) if chosen else _HERE / "__pycache__"
+    sources = [path.read_bytes() for path in sorted(_HERE.rglob("*.py"))]
+    compiled = b"".join(text for text in sources if b"manip.compiled import" in text)
+    return folder / f"native-{sha256(compiled).hexdigest()[:12]}"
 
 
 def cache_is_writable() -> bool:
@@ -47,7 +59,7 @@ _OPTIONS: dict[str, Any] = {
 
 def jit(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile to native code that runs without the GIL, cached where possible."""
-    return numba.njit(function, cache=_CACHE, **_OPTIONS)
+    return _cached(function)
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -67,7 +79,7 @@ def fast_jit(function: Callable[..., Any]) -> Callable[..., Any]:
 
     Infinities and NaN keep their meaning.
     """
-    return numba.njit(function, cache=_CACHE, fastmath=_REORDERED, **_OPTIONS)
+    return _cached(function, fastmath=_REORDERED)
 
 
 def fast_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -75,3 +87,12 @@ def fast_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     return numba.njit(
         function, no_cpython_wrapper=True, fastmath=_REORDERED, **_OPTIONS
     )
+
+
+def _cached(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
+    others = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(cache_folder())
+    try:
+        return numba.njit(function, cache=_CACHE, **options, **_OPTIONS)
+    finally:
+        numba.config.CACHE_DIR = others
