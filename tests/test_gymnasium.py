@@ -101,6 +101,8 @@ def test_mistakes_are_told() -> None:
         gymnasium.make("manip/Reach-v0", env="stok")
     with pytest.raises(UserError, match="unknown reward 'sparse'"):
         gymnasium.make("manip/Reach-v0", reward="sparse")
+    with pytest.raises(TypeError, match=r"multiple values for keyword .*'seed'"):
+        TaskVectorEnv("Reach", 2, seed=1)
 
 
 def test_whoever_steps_worlds_loads_no_torch() -> None:

@@ -45,7 +45,7 @@ class TaskVectorEnv(VectorEnv):
         task: name of the task, or package.module:Task.
         num_envs: N.
         max_episode_steps: length of an episode; the task's own unless given.
-        options: as in `manip.envs.native.NativeWorlds`.
+        options: as in `manip.envs.native.NativeWorlds`, without the seed.
     """
 
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
@@ -59,7 +59,7 @@ class TaskVectorEnv(VectorEnv):
         **options: Any,
     ) -> None:
         self.worlds = NativeWorlds(
-            load_task(task), num_envs, horizon=max_episode_steps, **options
+            load_task(task), num_envs, horizon=max_episode_steps, seed=0, **options
         )
         self.num_envs = num_envs
         self.single_observation_space = _observation_space(self.worlds)
@@ -102,7 +102,7 @@ class TaskEnv(gymnasium.Env):
         env: "native" for the batch engine, "stock" for robosuite itself.
         render_mode: "rgb_array", if `render` is to draw.
         control_freq: control steps a second [Hz].
-        options: as in `NativeWorlds` or `StockWorlds`.
+        options: as in `NativeWorlds` or `StockWorlds`, without the seed.
     """
 
     metadata = {"render_modes": ["rgb_array"]}
@@ -118,7 +118,7 @@ class TaskEnv(gymnasium.Env):
     ) -> None:
         self.metadata = self.metadata | {"render_fps": control_freq}
         self.worlds = one_world(
-            task, env, horizon=ENDLESS, control_freq=control_freq, **options
+            task, env, horizon=ENDLESS, seed=0, control_freq=control_freq, **options
         )
         self.observation_space = _observation_space(self.worlds)
         self.action_space = _action_space(self.worlds)
