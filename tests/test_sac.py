@@ -11,7 +11,7 @@ from torchrl.objectives import SACLoss
 from toy import QUICK_SAC, Points, make_agent, mean_return, train
 
 from manip.agents import checked, sac_gradients
-from manip.agents.agent import Agent, Spaces
+from manip.agents.agent import Spaces
 from manip.agents.returns import n_step_transitions
 from manip.agents.sac import SAC, SACConfig
 from manip.agents.sac_gradients import AutogradGradients, NativeGradients, rows_of
@@ -122,8 +122,9 @@ def test_extreme_outputs_of_the_actor_keep_gradients_finite_and_right(
     monkeypatch,
 ) -> None:
     both = native_and_defined(monkeypatch, replace(SMALL, batch_size=64))
+    extreme = torch.tensor([30, -30, 8, -9, 9, -40.0])
     for agent in both:
-        agent.actor.body[-1].bias.data.copy_(torch.tensor([30, -30, 8, -9, 9, -40.0]))
+        agent.explorer.body[-1].bias.data.copy_(extreme)
     (mine, _), (expected, _) = [found_by(agent, transitions(64)) for agent in both]
     for gradient, reference in zip(mine, expected, strict=True):
         assert gradient.isfinite().all()
@@ -171,7 +172,7 @@ def critic_by_hand(params: TensorDict, x: Tensor) -> Tensor:
 
 def sample_by_hand(agent: SAC, observation: Tensor) -> tuple[Tensor, Tensor]:
     """a = tanh(u), log pi = log N(u) - sum log(1 - tanh(u)^2)."""
-    loc, std = agent.actor(observation)
+    loc, std = agent.explorer(observation)
     raw = loc + std * torch.randn_like(loc)
     action = raw.tanh()
     log_prob = Normal(loc, std).log_prob(raw) - (1 - action.square()).log()
@@ -290,9 +291,9 @@ def test_updates_follow_updates_per_step_whatever_the_rollouts(per_step) -> None
         assert done <= steps * per_step + 1e-6
 
 
-def make_sure(agent: Agent) -> None:
+def make_sure(agent: SAC) -> None:
     """Mean 10, small deviation: whatever the actor samples is then 1 after tanh."""
-    loc, log_std = agent.actor.body[-1].bias.data.chunk(2)
+    loc, log_std = agent.explorer.body[-1].bias.data.chunk(2)
     loc.fill_(10.0)
     log_std.fill_(-10.0)
 
@@ -317,6 +318,17 @@ def test_the_actor_acts_after_warm_up() -> None:
         found = agent.policy()(transitions().select("observation"))["action"]
         assert (found.min() > 0.99) == expected
         agent.update(transitions()[:, None])
+
+
+def test_the_deployed_actor_is_an_exponential_average() -> None:
+    agent = agent_of(replace(SMALL, actor_average=0.25))
+    weight, learning = agent.actor.body[-1].weight, agent.explorer.body[-1].weight
+    expected = learning.detach().clone()
+    for seed in range(3):
+        agent.update(transitions(seed=seed)[:, None])
+        expected += 0.25 * (learning.detach() - expected)
+        torch.testing.assert_close(weight.detach(), expected)
+    assert not torch.equal(weight, learning)
 
 
 def test_buffer_holds_the_true_successor_also_at_an_episodes_end() -> None:

@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 import yaml
@@ -180,9 +181,27 @@ def test_tensorboard_holds_what_metrics_hold(algo, finished) -> None:
     assert found == [pytest.approx(pair) for pair in expected]
 
 
-def assert_holds(state: dict[str, torch.Tensor], weight: torch.Tensor) -> None:
-    found = [tensor for tensor in state.values() if tensor.shape == weight.shape]
+def assert_holds(modules: dict[str, Any], weight: torch.Tensor) -> None:
+    tensors = [tensor for state in modules.values() for tensor in state.values()]
+    found = [tensor for tensor in tensors if tensor.shape == weight.shape]
     assert any(torch.equal(tensor, weight) for tensor in found)
+
+
+def test_learning_rates_fall_to_zero_in_the_last_share(tmp_path, monkeypatch) -> None:
+    run, found = Trainer(tiny("sac", tmp_path / "run", cool_down=0.5)), []
+    update = run.agent.update
+
+    def recorded(batch):
+        (group,) = run.agent.optimisers()["critic"].param_groups
+        found.append((run.env_steps, group["lr"]))
+        return update(batch)
+
+    monkeypatch.setattr(run.agent, "update", recorded)
+    run.run()
+    steps, rates = map(np.array, zip(*found, strict=True))
+    expected = run.config.agent.learning_rate * np.minimum(1, 2 * (1 - steps / 512))
+    np.testing.assert_allclose(rates, expected, atol=1e-12)
+    assert steps[-1] == 512
 
 
 @by_algorithm
@@ -194,7 +213,7 @@ def test_the_policy_kept_is_the_best_evaluated_one(algo, finished) -> None:
     card = policy.card
     assert card.env_steps == int(best["env_steps"])
     assert checkpoint["progress"]["env_steps"] == card.env_steps
-    assert_holds(checkpoint["modules"]["loss"], policy.actor.body[-1].weight)
+    assert_holds(checkpoint["modules"], policy.actor.body[-1].weight)
     assert (card.task, card.robot, card.algo) == ("Reach", "Panda", algo)
     assert list(card.layout) == list(run.env.worlds.layout)
 
@@ -309,8 +328,8 @@ def rewrite(path: Path, change: Callable[[Any], Any]) -> None:
     [
         (truncate, "is damaged or not a manip file"),
         (lambda path: path.write_bytes(b""), "is damaged or not a manip file"),
-        (lambda path: save_tree(path, [1]), "has format None, not 2"),
-        (partial(rewrite, change=lambda t: t.update(format=0)), "has format 0, not 2"),
+        (lambda path: save_tree(path, [1]), "has format None, not 3"),
+        (partial(rewrite, change=lambda t: t.update(format=0)), "has format 0, not 3"),
         (
             partial(rewrite, change=lambda t: t.pop("collector")),
             "another configuration",
@@ -441,6 +460,7 @@ def test_a_run_folder_is_named_after_what_is_trained() -> None:
         ({"agent": {"batch_size": 0}}, "batch_size must be at least 1, not 0"),
         ({"seed": -1}, "seed must be at least 0, not -1"),
         ({"own_starts": 1.5}, "own_starts must be from 0 to 1, not 1.5"),
+        ({"cool_down": -1}, "cool_down must be from 0 to 1, not -1"),
     ],
 )
 def test_wrong_options_are_told(values: dict[str, Any], told: str) -> None:

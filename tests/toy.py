@@ -18,6 +18,7 @@ SPACES = Spaces(observation_dim=1, action_dim=1)
 
 QUICK_SAC = SACConfig(
     learning_rate=3e-3,
+    actor_average=0.05,
     batch_size=64,
     actor_hidden=(32,),
     critic_hidden=(32,),

@@ -7,7 +7,8 @@
     temperature: min -log(alpha) (log pi(a | s) + target entropy)
 
 s' is n steps on; Q' is the exponential average of Q. A time limit is no termination:
-y bootstraps through it.
+y bootstraps through it. What is deployed is the exponential average of the actor
+(Polyak and Juditsky 1992): neighbouring actors differ by 10 % of success and more.
 """
 
 from collections.abc import Sequence
@@ -25,6 +26,7 @@ from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import SACLoss
 
 from manip.agents.agent import Agent, Spaces
+from manip.agents.flat import flatten
 from manip.agents.networks import Actor, mlp, seeded
 from manip.agents.returns import n_step_transitions
 from manip.agents.sac_gradients import flatten_loss, rows_of, sac_gradients
@@ -50,6 +52,8 @@ class SACConfig:
     """Critic updates for each control step of each world."""
     actor_delay: int = 2
     """Critic updates for each update of the actor and the temperature."""
+    actor_average: float = 0.005
+    """Share of the actor that goes into the deployed one at each of its updates."""
     actor_hidden: tuple[int, ...] = (128, 128)
     """Widths of the actor's hidden layers."""
     critic_hidden: tuple[int, ...] = (128, 128)
@@ -96,7 +100,7 @@ class SAC(Agent):
     def __init__(self, config: SACConfig, spaces: Spaces, threads: int = 1) -> None:
         self.config = config
         self.rollout_length = config.rollout_length
-        self.actor = Actor(
+        self.explorer = Actor(
             spaces.observation_dim,
             spaces.action_dim,
             config.actor_hidden,
@@ -104,12 +108,14 @@ class SAC(Agent):
             normalise=False,
             action_scale=config.action_scale,
         )
-        self._loss = _loss(config, spaces, self.actor)
-        self._params = flatten_loss(self._loss, self.actor)
+        self.actor = deepcopy(self.explorer)
+        self._deployed = flatten([*self.actor.body.parameters()]).data
+        self._loss = _loss(config, spaces, self.explorer)
+        self._params = flatten_loss(self._loss, self.explorer)
         self._gradients = sac_gradients(
             self._loss,
             self._params,
-            self.actor,
+            self.explorer,
             config.gamma,
             config.batch_size,
             threads,
@@ -126,7 +132,7 @@ class SAC(Agent):
 
     def policy(self) -> TensorDictModuleBase:
         """Uniform at first, then samples of the actor."""
-        return RolloutPolicy(self.actor, self._seen < self.config.random_steps)
+        return RolloutPolicy(self.explorer, self._seen < self.config.random_steps)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Store the rollout [N, T]; then as many updates as its steps call for."""
@@ -144,8 +150,8 @@ class SAC(Agent):
         return logged
 
     def modules(self) -> dict[str, nn.Module]:
-        """The loss holds actor, critics, targets and temperature."""
-        return {"loss": self._loss}
+        """The deployed actor; the loss holds the others, and the temperature."""
+        return {"actor": self.actor, "loss": self._loss}
 
     def optimisers(self) -> dict[str, torch.optim.Optimizer]:
         """One for the critics, one for actor and temperature."""
@@ -188,6 +194,8 @@ class SAC(Agent):
     def _improve(self, rows: Tensor) -> dict[str, float]:
         loss, log_prob = self._gradients.actor(rows)
         self._actor_optim.step()
+        latest = self._params.actor.data[:-1]
+        self._deployed.lerp_(latest, self.config.actor_average)
         alpha = self._params.actor.data[-1].exp().item()
         return {"loss_actor": loss, "alpha": alpha, "entropy": -log_prob}
 

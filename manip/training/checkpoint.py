@@ -10,7 +10,7 @@ from manip.errors import UserError, one_line
 from manip.training.rollout import Collector
 from manip.trees import load_tree, save_tree
 
-FORMAT = 2
+FORMAT = 3
 """Version of the checkpoint file; raised when it changes incompatibly."""
 
 

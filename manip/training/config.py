@@ -58,6 +58,8 @@ class TrainConfig:
     """Reward set: ours, or robosuite's own shaped reward."""
     own_starts: float = 0.0
     """Share of the training episodes that begin where an earlier one has been."""
+    cool_down: float = 0.0
+    """Last share of the steps, in which learning rates fall linearly to zero."""
     threads: int | None = None
     """Threads of physics and learner; the CPUs this process may use unless given."""
     overlap: bool = True
@@ -78,8 +80,10 @@ class TrainConfig:
             for name in AT_LEAST_ONE:
                 at_least(1, name, getattr(options, name, 1))
         at_least(0, "seed", self.seed)
-        if not 0 <= self.own_starts <= 1:
-            raise UserError(f"own_starts must be from 0 to 1, not {self.own_starts}")
+        for name in ("own_starts", "cool_down"):
+            share = getattr(self, name)
+            if not 0 <= share <= 1:
+                raise UserError(f"{name} must be from 0 to 1, not {share}")
 
     @property
     def folder(self) -> Path:

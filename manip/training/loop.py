@@ -98,7 +98,15 @@ class Trainer:
         found = self._collector.next()
         self.env_steps += found.batch.numel()
         self._recent.extend(found.episodes)
+        self._set_learning_rates()
         self._learned |= self.agent.update(found.batch)
+
+    def _set_learning_rates(self) -> None:
+        left, last = 1 - self.env_steps / self.config.steps, self.config.cool_down
+        share = left / last if left < last else 1.0
+        for optimiser in self.agent.optimisers().values():
+            for group in optimiser.param_groups:
+                group["lr"] = share * group.setdefault("initial_lr", group["lr"])
 
     def _next_evaluation(self) -> int:
         every = self.config.eval_every
