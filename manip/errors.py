@@ -8,6 +8,10 @@ class UserError(ValueError):
     """A mistake in what was asked; programs print it as one line and exit with 2."""
 
 
+class DamagedError(UserError):
+    """A file that is not what was once written."""
+
+
 def at_least(least: int, name: str, value: object) -> None:
     """Raise `UserError` unless the value is a whole number of at least `least`."""
     if not isinstance(value, int) or value < least:

@@ -1,7 +1,7 @@
 """Trees as files that never run code when loaded.
 
 A tree (nested dicts and lists of tensors, arrays, numbers and strings) becomes one
-safetensors file: tensors in the body, everything else as JSON in the header.
+sealed safetensors file: tensors in the body, everything else as JSON in the header.
 """
 
 import json
@@ -11,44 +11,54 @@ from typing import Any
 import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 
-from manip.errors import UserError
-from manip.files import replace_file
+from manip.errors import DamagedError, UserError, one_line
+from manip.sealed import check_seal, save_sealed
 
 _TENSOR, _ARRAY, _INT_KEYS = "$tensor", "$array", "$int_keys"
+
+_REFUSALS = (
+    *(SafetensorError, RecursionError),
+    *(AttributeError, KeyError, TypeError, ValueError),
+)
+"""What reading a file raises that is not what it should be."""
 
 
 def save_tree(path: Path, tree: Any) -> None:
     """Write a tree to one safetensors file, whole or not at all."""
     tensors: dict[str, torch.Tensor] = {}
     header = json.dumps(_flatten(tree, "", tensors))
-    replace_file(path, lambda to: save_file(tensors, to, {"tree": header}))
+    save_sealed(path, tensors, {"tree": header})
 
 
 def load_tree(path: Path) -> Any:
     """Read what `save_tree` wrote.
 
     Raises:
-        UserError: the file is missing, damaged or of another kind.
+        UserError: there is no such file.
+        DamagedError: it was changed since it was written, or is of another kind.
     """
     if not path.is_file():
         raise UserError(f"there is no {path}")
     try:
+        check_seal(path)
         with safe_open(path, "pt") as file:
             header = json.loads((file.metadata() or {})["tree"])
             return _unflatten(header, file)
-    except (SafetensorError, KeyError, TypeError, ValueError) as error:
-        raise UserError(f"{path} is damaged or not a manip file: {error}") from error
+    except _REFUSALS as error:
+        reason = one_line(error)
+        raise DamagedError(
+            f"{path} is damaged or not a manip file: {reason}"
+        ) from error
 
 
 def _flatten(node: Any, path: str, tensors: dict[str, torch.Tensor]) -> Any:
     if isinstance(node, torch.Tensor):
-        name = f"{len(tensors)}{path}"
+        name = _unused(path, tensors)
         tensors[name] = node.detach().contiguous().clone()
         return {_TENSOR: name}
     if isinstance(node, np.ndarray):
-        name = f"{len(tensors)}{path}"
+        name = _unused(path, tensors)
         tensors[name] = torch.from_numpy(node.copy(order="C"))
         return {_ARRAY: name}
     if isinstance(node, dict):
@@ -61,6 +71,12 @@ def _flatten(node: Any, path: str, tensors: dict[str, torch.Tensor]) -> Any:
     if isinstance(node, list | tuple):
         return [_flatten(child, f"{path}/{i}", tensors) for i, child in enumerate(node)]
     return node
+
+
+def _unused(path: str, tensors: dict[str, torch.Tensor]) -> str:
+    """A tensor's path in the tree, unless another has it: {"a/b"} and {"a": {"b"}}."""
+    name = path[1:]
+    return f"{name}#{len(tensors)}" if name in tensors else name
 
 
 def _has_int_keys(node: dict[Any, Any]) -> bool:

@@ -12,6 +12,7 @@ ROOT = Path(__file__).parent.parent
 TOWER = (
     {"errors"},
     {"compiled", "cpus", "files", "versions"},
+    {"sealed"},
     {"trees"},
     {"rewards"},
     {"sim"},
