@@ -1,5 +1,6 @@
 """Training runs: what they leave behind, that they repeat themselves, and resume."""
 
+import errno
 import math
 import os
 import shutil
@@ -9,7 +10,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -121,7 +121,9 @@ def timeless(folder: Path) -> list[dict[str, str]]:
 
 def state_of(folder: Path, which: str = "latest") -> Any:
     tree = load_tree(folder / "checkpoints" / f"{which}.safetensors")
-    del tree["progress"]["seconds"]
+    for timed in (tree["progress"], *tree["progress"]["rows"]):
+        for name in TIMES:
+            timed.pop(name, None)
     return tree
 
 
@@ -141,15 +143,13 @@ def test_a_run_leaves_config_metrics_events_checkpoint_and_policy(
 ) -> None:
     run = finished(algo)
     names = {path.name for path in run.folder.iterdir()}
-    assert names == {"config.yaml", "metrics.csv", "tensorboard"} | {
-        "checkpoints",
-        "policy",
-    }
+    files = {"config.yaml", "metrics.csv", "run.lock"}
+    assert names == files | {"checkpoints", "policy", "tensorboard"}
     recorded = yaml.safe_load((run.folder / "config.yaml").read_text())
     assert recorded.pop("versions")["torch"]
     assert from_dict(recorded) == run.config
-    checkpoints = {path.name for path in (run.folder / "checkpoints").iterdir()}
-    assert checkpoints == {"latest.safetensors", "best.safetensors"}
+    checkpoints = {path.stem for path in (run.folder / "checkpoints").iterdir()}
+    assert checkpoints == {"latest", "previous", "best"}
     assert state_of(run.folder)["progress"]["env_steps"] == run.env_steps == 512
 
 
@@ -169,10 +169,11 @@ def test_metrics_are_rows_of_growing_steps_at_every_evaluation(algo, finished) -
 
 @by_algorithm
 def test_tensorboard_holds_what_metrics_hold(algo, finished) -> None:
-    folder = finished(algo).folder
-    rows = read_metrics(folder / "metrics.csv")
-    for logger in finished(algo)._log._loggers:
-        logger.experiment.flush()
+    rows = read_metrics(finished(algo).folder / "metrics.csv")
+    assert_tensorboard_holds(rows, finished(algo).folder)
+
+
+def assert_tensorboard_holds(rows: list[dict[str, str]], folder: Path) -> None:
     events = EventAccumulator(str(folder / "tensorboard"))
     events.Reload()
     assert set(events.Tags()["scalars"]) == set(rows[-1]) - {"env_steps"}
@@ -309,12 +310,22 @@ def test_a_run_is_not_overwritten(finished) -> None:
 
 def test_nothing_is_not_resumed(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="nothing to resume: there is no"):
-        Trainer(tiny("ppo", tmp_path / "run", resume=True))
+        Trainer(tiny("ppo", tmp_path / "run", resume=True)).run()
     assert not (tmp_path / "run").exists()
 
 
 def truncate(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-5])
+
+
+def flip_a_bit(path: Path) -> None:
+    whole = bytearray(path.read_bytes())
+    whole[-99] ^= 4
+    path.write_bytes(whole)
+
+
+def torch_file(path: Path) -> None:
+    torch.save({"format": 3}, path)
 
 
 def rewrite(path: Path, change: Callable[[Any], Any]) -> None:
@@ -323,56 +334,145 @@ def rewrite(path: Path, change: Callable[[Any], Any]) -> None:
     save_tree(path, tree)
 
 
+DAMAGE = [truncate, lambda path: path.write_bytes(b""), flip_a_bit, torch_file]
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_run_goes_on_from_the_checkpoint_before_a_damaged_one(
+    damage: Callable[[Path], Any], finished, tmp_path: Path
+) -> None:
+    run = finished("ppo")
+    config = copy_of(run, tmp_path / "run")
+    latest = config.folder / "checkpoints" / "latest.safetensors"
+    damage(latest)
+    again = Trainer(replace(config, resume=True))
+    with pytest.warns(UserWarning, match=f"{latest} is damaged.*; trying the one bef"):
+        assert again.run()
+    assert_equal_runs(run.folder, config.folder)
+
+
 @pytest.mark.parametrize(
-    ("damage", "told"),
+    ("change", "told"),
     [
-        (truncate, "is damaged or not a manip file"),
-        (lambda path: path.write_bytes(b""), "is damaged or not a manip file"),
-        (lambda path: save_tree(path, [1]), "has format None, not 3"),
-        (partial(rewrite, change=lambda t: t.update(format=0)), "has format 0, not 3"),
-        (
-            partial(rewrite, change=lambda t: t.pop("collector")),
-            "another configuration",
-        ),
-        (partial(rewrite, change=lambda t: t.update(torch_rng=3)), "another config"),
-        (partial(rewrite, change=lambda t: t["progress"].clear()), "is damaged"),
+        (lambda t: [1], "has format None, this version reads"),
+        (lambda t: t | {"format": 0}, "has format 0, this version reads"),
+        (lambda t: t | {"collector": {}}, "is of another configuration"),
+        (lambda t: t | {"torch_rng": 3}, "is of another configuration"),
+        (lambda t: t | {"progress": {}}, "is damaged"),
+        (lambda t: t | {"config": 7}, "is damaged"),
     ],
 )
-def test_a_damaged_checkpoint_is_told_and_costs_nothing(
-    damage: Callable[[Path], Any], told: str, finished, tmp_path: Path
+def test_a_checkpoint_that_does_not_fit_is_told_and_costs_nothing(
+    change: Callable[[Any], Any], told: str, finished, tmp_path: Path
 ) -> None:
     config = copy_of(finished("ppo"), tmp_path / "run")
     latest = config.folder / "checkpoints" / "latest.safetensors"
-    damage(latest)
+    save_tree(latest, change(load_tree(latest)))
     before = contents(config.folder)
-    with pytest.raises(UserError, match=f"{latest}.*{told}"):
-        Trainer(replace(config, resume=True))
+    with pytest.raises(UserError, match=told):
+        Trainer(replace(config, resume=True)).run()
     assert contents(config.folder) == before
 
 
 @pytest.mark.parametrize(
-    "change", [{"num_worlds": 3}, {"agent": {"actor_hidden": [8]}}, {"algo": "sac"}]
+    ("change", "told"),
+    [
+        ({"seed": 1}, "seed was 0, not 1"),
+        ({"num_worlds": 3, "reward": "stock"}, "num_worlds was 4, not 3; reward was"),
+        ({"agent": {"gamma": 0.5}}, "agent.gamma was 0.97, not 0.5"),
+        ({"algo": "sac"}, "algo was 'ppo', not 'sac'"),
+    ],
 )
-def test_a_checkpoint_of_another_configuration_is_refused(
-    change: dict[str, Any], finished, tmp_path: Path
+def test_a_run_does_not_go_on_with_other_options(
+    change: dict[str, Any], told: str, finished, tmp_path: Path
 ) -> None:
+    change = dict(change)
     folder = copy_of(finished("ppo"), tmp_path / "run").folder
     other = tiny(change.pop("algo", "ppo"), folder, resume=True, **change)
-    with pytest.raises(UserError, match=r"latest\.safetensors belongs to another conf"):
-        Trainer(other)
+    before = contents(folder)
+    with pytest.raises(UserError, match=f"cannot go on with other options: .*{told}"):
+        Trainer(other).run()
+    assert contents(folder) == before
 
 
-def test_rows_beyond_the_checkpoint_are_dropped_and_columns_may_come(tmp_path) -> None:
+def test_other_versions_are_told_when_a_run_goes_on(finished, tmp_path: Path) -> None:
+    config = copy_of(finished("ppo"), tmp_path / "run")
+    latest = config.folder / "checkpoints" / "latest.safetensors"
+    rewrite(latest, lambda tree: tree["versions"].update(mujoco="2.0"))
+    with pytest.warns(UserWarning, match=r"mujoco was 2.0, is .*not .* bit for bit"):
+        assert Trainer(replace(config, resume=True)).run()
+
+
+def test_a_run_folder_is_for_one_process_at_a_time(finished, tmp_path: Path) -> None:
+    config = copy_of(finished("ppo"), tmp_path / "run")
+    before = contents(config.folder)
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLD, config.folder], stdout=subprocess.PIPE, text=True
+    )
+    assert holder.stdout.readline() == "held\n"
+    told = f"is in use by process {holder.pid} on .*: wait for it, stop it, or"
+    with pytest.raises(UserError, match=told):
+        Trainer(replace(config, resume=True)).run()
+    holder.kill()
+    holder.wait()
+    assert contents(config.folder).keys() == before.keys()
+    assert Trainer(replace(config, resume=True)).run()
+
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from manip.training.leaving import locked
+with locked(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_a_full_disk_ends_a_run_that_goes_on_bit_for_bit(
+    finished, tmp_path: Path, monkeypatch
+) -> None:
+    config = tiny("ppo", tmp_path / "run")
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    room = iter([None] * 12)
+
+    def fsync(handle: int) -> None:
+        if next(room, full):
+            raise full
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", fsync)
+        told = f"No space left on device; .*--resume --out {config.folder}"
+        with pytest.raises(UserError, match=told):
+            Trainer(config).run()
+    assert Trainer(replace(config, resume=True)).run()
+    assert_equal_runs(finished("ppo").folder, config.folder)
+
+
+def test_logs_of_a_run_that_goes_on_hold_every_row_once(
+    finished, tmp_path: Path
+) -> None:
+    run = finished("ppo")
+    config = copy_of(run, tmp_path / "run")
+    table = config.folder / "metrics.csv"
+    expected = read_metrics(table)
+    table.write_text(table.read_text()[:-7] + "1,2,3\n5")
+    for events in (config.folder / "tensorboard").iterdir():
+        events.write_bytes(events.read_bytes()[:-9])
+    assert Trainer(replace(config, resume=True)).run()
+    assert read_metrics(table) == expected
+    assert_tensorboard_holds(expected, config.folder)
+
+
+def test_a_table_takes_up_its_rows_and_columns_may_come(tmp_path: Path) -> None:
     path = tmp_path / "metrics.csv"
-    table = MetricsTable(path, upto=0)
-    table.add({"env_steps": 10, "a": 1.5})
+    table = MetricsTable(path, [{"env_steps": 10, "a": 1.5}])
     table.add({"env_steps": 20, "a": 2.5, "b": 3})
     table.add({"env_steps": 30, "b": 4})
     assert [row["b"] for row in read_metrics(path)] == ["", "3", "4"]
-    table = MetricsTable(path, upto=20)
-    table.add({"env_steps": 25, "a": 0, "b": 0})
-    assert [row["env_steps"] for row in read_metrics(path)] == ["10", "20", "25"]
-    assert read_metrics(path)[1] == {"env_steps": "20", "a": "2.5", "b": "3"}
+    with path.open("a") as file:
+        file.write("40,2")
+    assert [row["env_steps"] for row in read_metrics(path)] == ["10", "20", "30"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -412,7 +512,7 @@ def test_sigterm_saves_and_leaves_with_3_and_the_run_goes_on(tmp_path: Path) -> 
     process.send_signal(signal.SIGTERM)
     _, said = process.communicate(timeout=60)
     assert process.returncode == 3, said
-    assert "stopped and saved at step" in said
+    assert "stopped at step" in said
     assert f"--resume --out {out}" in " ".join(said.split())
     done = state_of(out)["progress"]["env_steps"]
     more = ["--resume", "--out", str(out), "--steps", str(done + 64)]

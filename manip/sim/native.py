@@ -60,15 +60,11 @@ class Sim(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """What a control period is: its substeps, and whose number a touch sensor adds to.
-
-    most [K]: the largest number of each touch, 1 for a flag.
-    """
+    """What a control period is: its substeps, and whose flag each touch sensor sets."""
 
     substeps: int
     touch_at: int
     touch_of_sensor: Array
-    most: Array
 
 
 @kernel
@@ -93,9 +89,8 @@ def _store_touches(row: Array, plan: Plan, found: Array) -> None:
     for k in range(plan.touch_at, len(row)):
         row[k] = 0.0
     for k in range(len(plan.touch_of_sensor)):
-        touch = plan.touch_of_sensor[k]
-        contacts = row[plan.touch_at + touch] + found[k]
-        row[plan.touch_at + touch] = min(plan.most[touch], contacts)
+        if found[k] > 0.0:
+            row[plan.touch_at + plan.touch_of_sensor[k]] = 1.0
 
 
 @kernel

@@ -1,58 +1,102 @@
 """A run's whole state in one file, so that it goes on where it stopped."""
 
+import warnings
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from manip.agents.agent import Agent
-from manip.errors import UserError, one_line
+from manip.errors import DamagedError, UserError, one_line
+from manip.files import link_file
 from manip.training.rollout import Collector
 from manip.trees import load_tree, save_tree
 
-FORMAT = 3
+FORMAT = 4
 """Version of the checkpoint file; raised when it changes incompatibly."""
 
 
-def save_checkpoint(
-    path: Path, agent: Agent, collector: Collector, progress: dict[str, Any]
-) -> None:
-    """Write agent, worlds, random state and progress, whole or not at all."""
-    save_tree(
-        path,
-        {
-            "format": FORMAT,
-            "progress": progress,
-            "modules": {name: m.state_dict() for name, m in agent.modules().items()},
-            "optimisers": {n: o.state_dict() for n, o in agent.optimisers().items()},
-            "agent": agent.extra_state(),
-            "collector": collector.save_state(),
-            "torch_rng": torch.get_rng_state(),
-        },
-    )
+class Checkpoints:
+    """The checkpoints of a run folder: the latest, the one before it, and the best.
+
+    A checkpoint is written once, and then has several names: the best is the latest,
+    too, when it is new, and the latest becomes the previous.
+    """
+
+    def __init__(self, run: Path) -> None:
+        self.latest, self.previous, self.best = (
+            run / "checkpoints" / f"{name}.safetensors"
+            for name in ("latest", "previous", "best")
+        )
+        self._latest_is_whole = False
+
+    def exist(self) -> bool:
+        """Whether there is anything to resume from."""
+        return any(path.is_file() for path in (self.latest, self.previous, self.best))
+
+    def save(self, state: dict[str, Any], best: bool) -> None:
+        """Write a state as the latest, and call it the best, too, if it is."""
+        if self._latest_is_whole:
+            link_file(self.latest, self.previous)
+        if best:  # first, as a run that goes on from the latest finds no better
+            save_tree(self.best, state)
+            link_file(self.best, self.latest)
+        else:
+            save_tree(self.latest, state)
+        self._latest_is_whole = True
+
+    def load(self) -> dict[str, Any]:
+        """The newest state that is whole; warns of newer ones that are not.
+
+        Raises:
+            UserError: there is none, or it was written by another version.
+        """
+        damaged = None
+        for path in (self.latest, self.previous, self.best):
+            if path.is_file():
+                try:
+                    return self._checked(path, load_tree(path))
+                except DamagedError as error:
+                    damaged = damaged or error
+                    warnings.warn(f"{error}; trying the one before", stacklevel=2)
+        raise damaged or UserError(f"nothing to resume: there is no {self.latest}")
+
+    def _checked(self, path: Path, state: Any) -> dict[str, Any]:
+        found = state.get("format") if isinstance(state, dict) else None
+        if found != FORMAT:
+            raise UserError(f"{path} has format {found}, this version reads {FORMAT}")
+        self._latest_is_whole = path == self.latest
+        checked: dict[str, Any] = state
+        return checked
 
 
-def load_checkpoint(path: Path, agent: Agent, collector: Collector) -> dict[str, Any]:
-    """Put a saved state back into agent and worlds; returns the progress.
+def state_of(agent: Agent, collector: Collector) -> dict[str, Any]:
+    """Everything that the coming steps depend on: agent, worlds, random state."""
+    return {
+        "format": FORMAT,
+        "modules": {name: m.state_dict() for name, m in agent.modules().items()},
+        "optimisers": {n: o.state_dict() for n, o in agent.optimisers().items()},
+        "agent": agent.extra_state(),
+        "collector": collector.save_state(),
+        "torch_rng": torch.get_rng_state(),
+    }
+
+
+def restore(state: dict[str, Any], agent: Agent, collector: Collector) -> None:
+    """Put back what `state_of` gave.
 
     Raises:
-        UserError: no checkpoint, a damaged one, or one of other networks or worlds.
+        UserError: the state is of other networks or worlds.
     """
-    tree = load_tree(path)
-    found = tree.get("format") if isinstance(tree, dict) else None
-    if found != FORMAT:
-        raise UserError(f"{path} has format {found}, not {FORMAT}")
     try:
         for name, module in agent.modules().items():
-            module.load_state_dict(tree["modules"][name])
+            module.load_state_dict(state["modules"][name])
         for name, optimiser in agent.optimisers().items():
-            optimiser.load_state_dict(tree["optimisers"][name])
-        agent.load_extra_state(tree["agent"])
-        collector.load_state(tree["collector"])
-        torch.set_rng_state(tree["torch_rng"])
-        progress: dict[str, Any] = tree["progress"]
+            optimiser.load_state_dict(state["optimisers"][name])
+        agent.load_extra_state(state["agent"])
+        collector.load_state(state["collector"])
+        torch.set_rng_state(state["torch_rng"])
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
         raise UserError(
-            f"{path} belongs to another configuration: {one_line(error)}"
+            f"the checkpoint is of another configuration: {one_line(error)}"
         ) from error
-    return progress

@@ -10,7 +10,6 @@ import yaml
 
 from manip.agents.ppo import PPOConfig
 from manip.agents.sac import SACConfig
-from manip.envs.registry import task_names
 from manip.errors import UserError, at_least, unknown
 from manip.sim.model import Fidelity
 
@@ -25,6 +24,13 @@ AT_LEAST_ONE = (
     *("rollout_length", "epochs", "minibatches"),
 )
 """Options that count something, of the run and of its algorithm."""
+
+
+MAY_CHANGE = {
+    *("out", "resume", "steps", "threads", "wandb"),
+    *("eval_every", "eval_episodes", "checkpoint_every"),
+}
+"""Options that a run may go on with changed: the others made it what it is."""
 
 
 @dataclass(frozen=True)
@@ -102,17 +108,6 @@ def recipe_names() -> list[str]:
     )
 
 
-def recipes() -> dict[str, TrainConfig]:
-    """Name -> options of the tuned recipes that are shipped for tasks known here."""
-    tasks = {task.lower(): task for task in task_names()}
-    pairs = {name: name.split("-", 1) for name in recipe_names()}
-    return {
-        name: recipe(tasks[task], algo)
-        for name, (task, algo) in pairs.items()
-        if task in tasks
-    }
-
-
 def recipe(task: str, algo: str) -> TrainConfig:
     """The tuned options for a task and an algorithm, or the defaults where none are.
 
@@ -134,6 +129,32 @@ def to_dict(config: TrainConfig) -> dict[str, Any]:
         for key, value in plain["agent"].items()
     }
     return plain
+
+
+def lasting(config: TrainConfig) -> dict[str, Any]:
+    """Name -> plain value of the options that stay as they are when a run goes on."""
+    plain = to_dict(config)
+    plain |= {f"agent.{name}": value for name, value in plain.pop("agent").items()}
+    return {name: value for name, value in plain.items() if name not in MAY_CHANGE}
+
+
+def check_lasting(recorded: dict[str, Any], config: TrainConfig) -> None:
+    """Compare what `lasting` gave of a run with the options it is to go on with.
+
+    Raises:
+        UserError: one of them differs.
+    """
+    asked = lasting(config)
+    changed = [
+        f"{name} was {recorded.get(name)!r}, not {asked.get(name)!r}"
+        for name in sorted(recorded.keys() | asked.keys())
+        if recorded.get(name) != asked.get(name)
+    ]
+    if changed:
+        raise UserError(
+            f"the run cannot go on with other options: {'; '.join(changed)}. Leave "
+            "them out, or begin another run with another --out"
+        )
 
 
 def from_dict(values: dict[str, Any]) -> TrainConfig:

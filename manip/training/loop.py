@@ -1,22 +1,20 @@
 """The training loop: one for all algorithms. Collect, learn, evaluate, save."""
 
-import signal
 import time
+import warnings
 from collections import deque
-from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
 import torch
 import yaml
 
-from manip.errors import UserError
+from manip.errors import UserError, one_line
 from manip.evaluation.episodes import Episode, run_episodes
 from manip.evaluation.report import summarise
-from manip.files import write_text
+from manip.files import remove_partial, write_text
 from manip.training.build import (
     build_agent,
     evaluation_env,
@@ -24,15 +22,19 @@ from manip.training.build import (
     policy_of,
     training_env,
 )
-from manip.training.checkpoint import load_checkpoint, save_checkpoint
-from manip.training.config import TrainConfig, to_dict
-from manip.training.logs import RunLog
+from manip.training.checkpoint import Checkpoints, restore, state_of
+from manip.training.config import TrainConfig, check_lasting, lasting, to_dict
+from manip.training.leaving import Interruptible, locked
+from manip.training.logs import Row, RunLog
 from manip.training.progress import TrainingProgress
 from manip.training.rollout import Collector
 from manip.versions import versions
 
 RECENT = 100
 """Finished training episodes that the progress line averages over."""
+
+SAVING_SHARE = 0.05
+"""Checkpoints on the way may take this part of a run's time."""
 
 
 class Trainer:
@@ -47,8 +49,8 @@ class Trainer:
         torch.set_num_threads(1)
         self.config = config
         self.folder = config.folder
-        self.latest = self.folder / "checkpoints" / "latest.safetensors"
-        _check_folder(self.folder, self.latest, config.resume)
+        self.checkpoints = Checkpoints(self.folder)
+        _check_folder(self.folder, self.checkpoints, config.resume)
         self.env = training_env(config)
         self.judge = evaluation_env(config)
         self.agent = build_agent(config, self.env)
@@ -58,41 +60,46 @@ class Trainer:
         self.env_steps = 0
         self.seconds = 0.0
         self._best = (-1.0, -np.inf)
-        if config.resume:
-            self._resume()
-        self._log = RunLog(self.folder, self.env_steps, config.wandb)
+        self._saving = _Saving(config.checkpoint_every)
         self.stopping = False
 
     def run(self) -> bool:
-        """Train to the end; False if it was stopped on the way (and saved)."""
-        self._write_config()
+        """Train to the end; False if it was stopped on the way (and saved).
+
+        Raises:
+            UserError: there is nothing to resume, or it was begun with other options;
+                another process is at work in the folder; the disk is full.
+        """
         stages = self.env.worlds.task.stages
-        with (
-            _Interruptible(self._stop),
-            TrainingProgress(self.config.steps, self.env_steps, stages) as progress,
-        ):
-            self._train(progress)
+        with locked(self.folder), Interruptible(self._stop):
+            rows = self._resume() if self.config.resume else []
+            remove_partial(self.folder)
+            try:
+                self._write_config()
+                with (
+                    RunLog(self.folder, rows, self.config.wandb) as self._log,
+                    TrainingProgress(self.config.steps, self.env_steps, stages) as bar,
+                ):
+                    self._train(bar)
+            except OSError as error:
+                raise UserError(f"{one_line(error)}{self._how_to_go_on()}") from error
         return not self.stopping
 
     def _train(self, progress: TrainingProgress) -> None:
         began = time.monotonic() - self.seconds
-        saved = time.monotonic()
         while self.env_steps < self.config.steps and not self.stopping:
             due = self._next_evaluation()
             self._advance()
             self.seconds = time.monotonic() - began
             progress.update(self.env_steps, self._training_averages())
             if self.env_steps >= due:
-                self._evaluate(progress)
-            if self.env_steps >= due or time.monotonic() - saved > self._save_every:
-                self._save(self.latest)
-                saved = time.monotonic()
-        self._save(self.latest)
+                self._save(best=self._evaluate(progress))
+            elif self._saving.due():
+                self._save()
         if self.stopping:
-            progress.say(
-                f"stopped and saved at step {self.env_steps:,}; continue with "
-                f"--resume --out {self.folder}"
-            )
+            self._save()
+            progress.say(f"stopped at step {self.env_steps:,}{self._how_to_go_on()}")
+        progress.say(self._saving.cost(self.checkpoints.latest))
 
     def _advance(self) -> None:
         found = self._collector.next()
@@ -112,7 +119,8 @@ class Trainer:
         every = self.config.eval_every
         return min((self.env_steps // every + 1) * every, self.config.steps)
 
-    def _evaluate(self, progress: TrainingProgress) -> None:
+    def _evaluate(self, progress: TrainingProgress) -> bool:
+        """Judge the policy, and keep it if it is the best so far; whether it is."""
         policy = policy_of(self.agent, self.config, self.env, self.env_steps)
         self.judge.worlds.restart()
         found = summarise(
@@ -127,10 +135,11 @@ class Trainer:
         line = f"step {self.env_steps:>9,}  {self.seconds:6.0f} s  held {held:4.0%}"
         shares = "  ".join(f"{s} {share:.0%}" for s, share in found["stages"].items())
         progress.say(f"{line}  return {mean:5.1f}  ever {shares}")
-        if (held, mean) > self._best:
+        best = (held, mean) > self._best
+        if best:
             self._best = (held, mean)
             policy.save(self.folder / "policy")
-            self._save(self.folder / "checkpoints" / "best.safetensors")
+        return best
 
     def _record(self, values: dict[str, float], progress: TrainingProgress) -> None:
         speed = progress.speed(self.env_steps)
@@ -153,29 +162,48 @@ class Trainer:
             },
         }
 
-    def _save(self, path: Path) -> None:
+    def _save(self, best: bool = False) -> None:
         progress = {
             "env_steps": self.env_steps,
             "seconds": self.seconds,
             "best": list(self._best),
             "learned": self._learned,
             "recent": [asdict(episode) for episode in self._recent],
+            "rows": self._log.rows,
         }
-        save_checkpoint(path, self.agent, self._collector, progress)
+        state = state_of(self.agent, self._collector)
+        state |= {"config": lasting(self.config), "versions": versions()}
+        with self._saving:
+            self.checkpoints.save(state | {"progress": progress}, best)
 
-    def _resume(self) -> None:
-        progress = load_checkpoint(self.latest, self.agent, self._collector)
+    def _resume(self) -> list[Row]:
+        """Go back to where the run was last saved; what it had logged till then."""
+        state = self.checkpoints.load()
         try:
-            self._take_up(progress)
-        except (KeyError, TypeError, ValueError) as error:
-            raise UserError(f"{self.latest} is damaged: {error!r}") from error
+            check_lasting(state["config"], self.config)
+            _compare_versions(state["versions"])
+            restore(state, self.agent, self._collector)
+            return self._take_up(state["progress"])
+        except UserError:
+            raise
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise UserError(
+                f"the checkpoint in {self.folder} is damaged: {error!r}"
+            ) from error
 
-    def _take_up(self, progress: dict[str, Any]) -> None:
+    def _take_up(self, progress: dict[str, Any]) -> list[Row]:
         self.env_steps = int(progress["env_steps"])
         self.seconds = float(progress["seconds"])
         self._best = tuple(progress["best"])
         self._learned = progress["learned"]
         self._recent.extend(Episode(**episode) for episode in progress["recent"])
+        rows: list[Row] = progress["rows"]
+        return rows
+
+    def _how_to_go_on(self) -> str:
+        if not self.checkpoints.exist():
+            return ""
+        return f"; the run is saved, continue with --resume --out {self.folder}"
 
     def _write_config(self) -> None:
         text = yaml.safe_dump(to_dict(self.config) | {"versions": versions()})
@@ -184,39 +212,57 @@ class Trainer:
     def _stop(self) -> None:
         self.stopping = True
 
-    @property
-    def _save_every(self) -> float:
-        return self.config.checkpoint_every
+
+class _Saving:
+    """When to save next, and what it costs.
+
+    Args:
+        every: seconds between checkpoints; more where those take long.
+    """
+
+    def __init__(self, every: float) -> None:
+        self._every = every
+        self._ended = time.monotonic()
+        self._took = 0.0
+
+    def due(self) -> bool:
+        """Whether it is time for the next checkpoint."""
+        wait = max(self._every, self._took / SAVING_SHARE)
+        return time.monotonic() - self._ended > wait
+
+    def cost(self, path: Path) -> str:
+        """Size and time of the last checkpoint, in words."""
+        size = path.stat().st_size / 2**20
+        return f"checkpoint: {size:,.1f} MiB, written in {self._took:.1f} s"
+
+    def __enter__(self) -> None:
+        self._began = time.monotonic()
+
+    def __exit__(self, *_: object) -> None:
+        self._ended = time.monotonic()
+        self._took = self._ended - self._began
 
 
-def _check_folder(folder: Path, latest: Path, resume: bool) -> None:
-    if resume and not latest.is_file():
-        raise UserError(f"nothing to resume: there is no {latest}")
-    if not resume and latest.is_file():
+def _check_folder(folder: Path, checkpoints: Checkpoints, resume: bool) -> None:
+    if resume and not checkpoints.exist():
+        raise UserError(f"nothing to resume: there is no {checkpoints.latest}")
+    if not resume and checkpoints.exist():
         raise UserError(
             f"{folder} already holds a run: continue it with --resume, or choose "
             "another folder with --out"
         )
 
 
-class _Interruptible:
-    """While inside, the first Ctrl-C or SIGTERM calls `stop`; a second one kills."""
-
-    SIGNALS: Sequence[signal.Signals] = (signal.SIGINT, signal.SIGTERM)
-
-    def __init__(self, stop: Callable[[], None]) -> None:
-        self._stop_run = stop
-
-    def __enter__(self) -> None:
-        self._before = {s: signal.signal(s, self._handle) for s in self.SIGNALS}
-
-    def __exit__(self, *_: object) -> None:
-        self._restore()
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        self._restore()
-        self._stop_run()
-
-    def _restore(self) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
+def _compare_versions(recorded: dict[str, str]) -> None:
+    """Say what the run was saved by, if by something else."""
+    changed = [
+        f"{package} was {recorded.get(package)}, is {now}"
+        for package, now in versions().items()
+        if recorded.get(package) != now
+    ]
+    if changed:
+        warnings.warn(
+            f"{'; '.join(changed)}: the run goes on, but not as it would have bit for "
+            "bit",
+            stacklevel=2,
+        )
