@@ -1,6 +1,6 @@
 """Scripted policies: a few lines that solve a task, as proof that it can be solved.
 
-Each maps measures [N, ...] to OSC_POSE actions [N, 7] and remembers nothing.
+Each maps measures [N, ...] to OSC_POSE actions [N, A] and remembers nothing.
 """
 
 from functools import partial
@@ -182,6 +182,16 @@ def _upright(eef_mat: Array, turn: Array) -> Array:
     return np.clip(SPIN * (tilt + turn[:, None] * UP), -1, 1)
 
 
+def wipe(m: Measures) -> Array:
+    """Above the nearest dirt, down on it once 3 cm aside, and on to the next."""
+    offset = m["nearest"].copy()
+    over = np.linalg.norm(offset[:, :2], axis=1) < 0.03
+    offset[:, 2] += np.where(over, -0.004, 0.03)
+    still = np.zeros(len(offset))
+    move = _towards(offset, still)[:, :3]
+    return np.hstack([move, _upright(m["eef_mat"], still)])
+
+
 def _over(offset: Array, out: Array) -> Array:
     """8 cm above the handle until it is below; 10 cm before it while too low."""
     aside = np.linalg.norm(offset[:, :2], axis=1, keepdims=True)
@@ -218,6 +228,7 @@ SCRIPTS = {
     "Reach": reach,
     "Stack": stack,
     "ToolHang": tool_hang,
+    "Wipe": wipe,
 }
 
 LONG = {"ToolHang"}

@@ -259,6 +259,7 @@ def test_read_gives_what_its_docstring_says(lift: Task, lift_scene: Scene) -> No
     expected = {
         "qpos": (model.nq,), "qvel": (model.nv,), "qacc": (model.nv,),
         "joint_pos": (7,), "joint_vel": (7,), "start_pos": (7,), "rest_pos": (7,),
+        "joint_low": (7,), "joint_high": (7,),
         "gripper_qpos": (2,), "gripper_qvel": (2,), "gripper_command": (2,),
         "gripper_closing": (),
         "eef_pos": (3,), "eef_mat": (9,), "hand_quat": (4,),

@@ -179,6 +179,10 @@ MISTAKES: dict[str, tuple[str, Method]] = {
         lambda task, m: m["button_qpos"] > 0,
     ),
     "failure() has shape (), not (3,)": ("failure", lambda task, m: None),
+    "remember() gives 'pushed', but sensors.memory names nothing": (
+        "remember",
+        lambda task, m: {"pushed": m["button_qpos"]},
+    ),
     "reached() gives 'near', 'push', but stages names 'near', 'press'": (
         "reached",
         lambda task, m: dict.fromkeys(["near", "push"], m["depth"] > 0),

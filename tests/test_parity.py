@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scripted import SCRIPTS, TASKS
-from twin import RESYNCED, copy_state, reading, start_twin
+from twin import RESYNCED, copy_state, reading, remember, start_twin
 
 from manip.envs.registry import load_task
 from manip.envs.task import Task
@@ -16,8 +16,10 @@ from manip.sim.engine import BatchEngine
 from manip.sim.model import Scene, load_scene
 from manip.sim.reader import stock_reader
 from manip.sim.stock import CONTROL_FREQUENCIES, CONTROLLERS, ROBOTS
+from tasks.dirt import MARKERS
 from tasks.hanging import BASE, CORNER
 from tasks.tool_hang import ToolHang
+from tasks.wipe import TABLE
 
 Array = np.ndarray
 
@@ -69,14 +71,20 @@ def play(
         actions[world] = action[0]
         found, reward, _, _ = stock.step(action[0])
         engine.step(actions)
-        yield Moment(
+        now = Moment(
             found,
             reading(engine, world) | {f"last_{name}": last[name] for name in last},
             reward,
             bool(stock._check_success()),
-            {name: read_stock()[name] for name in task.sensors.touches},
+            {name: read_stock()[name] for name in contacts(task)},
             both_pads_touch(stock),
         )
+        remember(task, engine, np.arange(engine.num_worlds))
+        yield now
+
+
+def contacts(task: Task) -> tuple[str, ...]:
+    return *task.sensors.touches, *task.sensors.counts
 
 
 def both_pads_touch(stock: Any) -> bool:
@@ -111,6 +119,7 @@ RANDOM_RUNS = (
     ("Push", "OSC_POSE"),
     ("Stack", "OSC_POSE"),
     ("ToolHang", "OSC_POSE"),
+    ("Wipe", "OSC_POSE"),
 )
 
 
@@ -221,6 +230,14 @@ def pose_readings(
     }
 
 
+def dirt(r: dict[str, Array]) -> tuple[Array, float]:
+    """Mean place of what was left of the dirt before a step, and its radius."""
+    places = TABLE + np.stack([r[f"marker{i}"][0] for i in range(MARKERS)])
+    left = places[r["was_wiped"][0] == 0]
+    centre = left.mean(axis=0) if len(left) else np.zeros(3)
+    return centre, np.linalg.norm(left - centre, axis=1).max(initial=0.0)
+
+
 def hanging(name: str) -> Reading:
     return lambda r, s: float(ToolHang().measure(r)[name][0])
 
@@ -274,6 +291,12 @@ OBJECT_READINGS: dict[str, dict[str, Reading]] = {
         "frame_is_assembled": hanging("assembled"),
         "tool_on_frame": hanging("hung"),
     },
+    "Wipe": {
+        "proportion_wiped": lambda r, s: r["was_wiped"].mean(),
+        "wipe_centroid": lambda r, s: dirt(r)[0],
+        "wipe_radius": lambda r, s: dirt(r)[1],
+        "gripper_to_wipe_centroid": lambda r, s: dirt(r)[0] - r["eef_pos"][0],
+    },
 }
 
 
@@ -297,7 +320,7 @@ def test_every_observation_of_stocks_objects_is_compared(script_run: Run) -> Non
 def test_a_reset_reads_as_stocks(script_run: Run) -> None:
     task, scene, _ = script_run
     engine = BatchEngine(scene, 2, threads=1)
-    engine.step(np.ones((2, 7)))
+    engine.step(np.ones((2, scene.handles.action_dim)))
     found = start_twin(task, engine, [0], seed=5)
     now = Moment(found, reading(engine, 0), 0.0, False, {}, False)
     assert_reads_as_stock(Run(task, scene, [now]), rtol=0, atol=1e-7)
@@ -344,7 +367,7 @@ def test_objects_follow_stock_through_an_episode(script_run: Run) -> None:
 
 
 def test_touches_are_stocks(script_run: Run) -> None:
-    for name in script_run.task.sensors.touches:
+    for name in contacts(script_run.task):
         ours = [at.read[name][0] for at in script_run.trace]
         assert ours == [at.touches[name][0] for at in script_run.trace], name
 

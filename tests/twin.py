@@ -42,6 +42,13 @@ def copy_start(task: Task, engine: BatchEngine, worlds: Iterable[int]) -> None:
     rows = np.zeros(len(worlds), dtype=int)
     fields = {name: read[name][rows] for name in task.sensors.fields}
     engine.write(worlds, read["qpos"][rows], fields)
+    remember(task, engine, worlds)
+
+
+def remember(task: Task, engine: BatchEngine, worlds: np.ndarray) -> None:
+    """Let a task keep what it wants of the episodes of some worlds [n] int."""
+    kept = task.remember(task.measure(engine.read()))
+    engine.remember(worlds, {name: values[worlds] for name, values in kept.items()})
 
 
 def copy_state(task: Task, engine: BatchEngine, worlds: Iterable[int]) -> None:
@@ -50,7 +57,8 @@ def copy_state(task: Task, engine: BatchEngine, worlds: Iterable[int]) -> None:
     read, data = stock_reader(stock, task.sensors)(), stock.sim.data._data
     hidden = "start_pos", "gripper_command", *task.sensors.fields
     state = [data.qpos, data.qvel, data.qacc_warmstart, *(read[n][0] for n in hidden)]
-    engine.states[list(worlds)] = np.concatenate(state)
+    row = np.concatenate(state)
+    engine.states[list(worlds), : len(row)] = row
 
 
 def reading(engine: BatchEngine, world: int) -> dict[str, np.ndarray]:

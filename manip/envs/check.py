@@ -30,6 +30,7 @@ def check_task(task: Task, read: Measures, worlds: int) -> None:
         _check_rewards(task, reward, m, worlds)
     for where, method in (("success()", task.success), ("failure()", task.failure)):
         _check_flags(f"{_of(task)} {where}", _ask(task, where, m, method), worlds)
+    _check_memory(task, _ask_named(task, "remember()", m, task.remember), worlds)
     reached = _ask_named(task, "reached()", m, task.reached)
     _check_names(f"{_of(task)} reached()", reached, "stages", task.stages)
     for name, flags in reached.items():
@@ -92,6 +93,13 @@ def _check_rewards(task: Task, reward: str, m: Measures, worlds: int) -> None:
     )
     for name, term in terms.items():
         _check_shape(f"{_of(task)} {where} term {name!r}", term, (worlds,))
+
+
+def _check_memory(task: Task, memory: Mapping[str, Any], worlds: int) -> None:
+    where, sizes = f"{_of(task)} remember()", task.sensors.memory
+    _check_names(where, memory, "sensors.memory", sizes)
+    for name, values in memory.items():
+        _check_shape(f"{where} {name!r}", values, (worlds, sizes[name]))
 
 
 def _check_names(

@@ -1,5 +1,6 @@
 """A task on the batch engine: robosuite's MDP at native speed, N worlds at once."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +96,9 @@ class NativeWorlds(Worlds):
             past = self._bank.draw(streams)
             past = Snapshot(past.states[again], past.readings[again])
             self.engine.restore(past, worlds[again])
+
+    def _keep(self, worlds: np.ndarray, memory: Mapping[str, np.ndarray]) -> None:
+        self.engine.remember(worlds, memory)
 
     def _move(self, action: np.ndarray) -> np.ndarray:
         self.engine.step(action)

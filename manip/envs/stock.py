@@ -1,5 +1,6 @@
 """A task inside a stock robosuite environment: the same readings, one world."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -49,12 +50,13 @@ class StockWorlds(Worlds):
             hard_reset=hard_reset,
         )
         self._reader = stock_reader(self.stock, task.sensors)
+        self._memory = _blank(task)
         action_dim = self.stock.action_dim
         super().__init__(task, 1, action_dim, horizon, reward, seed)
 
     def read(self) -> Measures:
         """As `manip.sim.reader.stock_reader`."""
-        return self._reader()
+        return {**self._reader(), **self._memory}
 
     def visual_model(self, world: int) -> Any:
         """The stock environment's own model."""
@@ -63,11 +65,21 @@ class StockWorlds(Worlds):
     def _start_episodes(self, worlds: Array) -> None:
         reseed(self.stock, self.seed + int(self.episode[0]))
         self.stock.reset()
+        self._memory = _blank(self.task)
         if self.stock.hard_reset:
             self._reader = stock_reader(self.stock, self.task.sensors)
+
+    def _keep(self, worlds: Array, memory: Mapping[str, Array]) -> None:
+        if len(worlds):
+            self._memory = {**self._memory, **memory}
 
     def _move(self, action: Array) -> Array:
         broken = np.isnan(action).any(axis=1)
         if not broken[0]:
             self.stock.step(action[0].astype(np.float64))
         return broken
+
+
+def _blank(task: Task) -> dict[str, Array]:
+    """The memory of one world as its episode begins."""
+    return {name: np.zeros((1, size)) for name, size in task.sensors.memory.items()}

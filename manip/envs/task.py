@@ -71,6 +71,14 @@ class Task(ABC):
     def reached(self, m: Measures) -> dict[str, Array]:
         """Stage name -> [N] bool: the milestone holds now."""
 
+    def remember(self, m: Measures) -> Mapping[str, Array]:
+        """What to keep of the episode: names of sensors.memory -> [N, k].
+
+        Asked as an episode begins and after each step; later readings hold it, which
+        must not change what is observed (default: nothing).
+        """
+        return {}
+
     def failure(self, m: Measures) -> Array:
         """[N] bool: the episode ends here, without a future (default: never)."""
         return np.zeros(len(m["joint_pos"]), bool)

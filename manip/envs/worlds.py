@@ -94,6 +94,10 @@ class Worlds(ABC):
         """Put the given worlds at the start of their episode `self.episode[worlds]`."""
 
     @abstractmethod
+    def _keep(self, worlds: Array, memory: Mapping[str, Array]) -> None:
+        """Keep what the task remembers of the given worlds: name -> [n, k]."""
+
+    @abstractmethod
     def _move(self, action: Array) -> Array:
         """Advance all worlds by one control step; [N] bool, the worlds that broke."""
 
@@ -108,17 +112,27 @@ class Worlds(ABC):
         self.elapsed[worlds] = 0
         if len(worlds):
             self._start_episodes(worlds)
+            self._remember(worlds)
 
     def step(self, action: Array) -> Moment:
         """Advance all worlds by one control step of action [N, A] in [-1, 1]."""
         broken = self._move(action)
         self.elapsed += 1
-        return self._moment((self.elapsed >= self.horizon) | broken)
+        moment = self._moment((self.elapsed >= self.horizon) | broken)
+        self._remember(np.flatnonzero(~broken))
+        return moment
 
     def look(self) -> Moment:
         """The worlds as they are now, as an episode begins: nothing has ended."""
         never = np.zeros(self.num_worlds, bool)
         return self._moment(never)._replace(terminated=never)
+
+    def _remember(self, worlds: Array) -> None:
+        if self.task.sensors.memory:
+            memory = self.task.remember(self.task.measure(self.read()))
+            self._keep(
+                worlds, {name: values[worlds] for name, values in memory.items()}
+            )
 
     def _moment(self, over: Array) -> Moment:
         task = self.task

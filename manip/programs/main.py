@@ -11,6 +11,8 @@ PROGRAMS = {
     "train": "train a policy",
     "evaluate": "measure a policy's success, in stock robosuite or natively",
     "render": "film a policy",
+    "reproduce": "rerun shipped recipes and compare with their results",
+    "results": "show what the shipped recipes reach",
     "list": "name tasks, robots, algorithms, recipes",
     "doctor": "check that this machine is fit",
     "benchmark": "measure speed",

@@ -35,7 +35,8 @@ class BatchEngine:
     """N worlds of a scene.
 
     A world's state row is [qpos nq, qvel nv, warmstart nv, arm pose at the episode's
-    start n, gripper command, model fields]: everything that a step depends on.
+    start n, gripper command, model fields, the task's memory]: everything that a step
+    depends on.
 
     Args:
         scene: what is simulated.
@@ -62,6 +63,7 @@ class BatchEngine:
         self.control_dt = scene.control_dt
         self._plan = _plan(scene)
         self._fields_at = _fields_at(scene)
+        self._memory_at = self._fields_at + sum(s.size for s in scene.handles.fields)
         self._mine = [thread_memory(scene) for _ in range(self.threads)]
         self._pool = ThreadPoolExecutor(max(1, self.threads - 1), "manip-sim")
         self.states = np.tile(_default_state(scene), (num_worlds, 1))
@@ -109,8 +111,8 @@ class BatchEngine:
     ) -> None:
         """Start new episodes in some worlds, as a reset of robosuite does.
 
-        Velocities, warm start and gripper command become zero, the arm's pose in
-        `qpos` becomes the null-space target, and readings are refreshed.
+        Velocities, warm start, gripper command and memory become zero, the arm's pose
+        in `qpos` becomes the null-space target, and readings are refreshed.
 
         Args:
             worlds: [n] int.
@@ -121,11 +123,17 @@ class BatchEngine:
         rows[:, : qpos.shape[1]] = qpos
         start_pos = self.field_columns("start_pos")
         rows[:, start_pos] = qpos[:, self.scene.handles.arm.qpos]
-        rows[:, self._fields_at :] = self.states[worlds, self._fields_at :]
+        kept = slice(self._fields_at, self._memory_at)
+        rows[:, kept] = self.states[worlds, kept]
         for name, values in (fields or {}).items():
             rows[:, self.field_columns(name)] = values
         self.states[worlds] = rows
         self._refresh(np.asarray(worlds))
+
+    def remember(self, worlds: Array, memory: Mapping[str, Array]) -> None:
+        """Keep numbers of the task's, name -> [n, k], with some worlds [n] int."""
+        for name, values in memory.items():
+            self.states[worlds, self.field_columns(name)] = values
 
     def read(self) -> dict[str, Array]:
         """Named views [N, k] of the readings.
@@ -134,9 +142,9 @@ class BatchEngine:
         gripper_qvel; eef_pos [N, 3] m and eef_mat [N, 9] of the grip site; hand_quat
         [N, 4] wxyz of the hand body; gripper_command, one number an actuator;
         gripper_closing [N], 1 when told to close; start_pos [N, n], the arm at the
-        episode's start; rest_pos [1, n], its default pose; what the task's `Sensors`
-        name; and its model fields. Views change with the next step: copy what must
-        stay.
+        episode's start; rest_pos [1, n], its default pose; joint_low, joint_high
+        [1, n], its limits; what the task's `Sensors` name, fields and memory too.
+        Views change with the next step: copy what must stay.
         """
         named = dict(self._named)
         for name, columns in _state_columns(self.scene).items():
@@ -158,7 +166,7 @@ class BatchEngine:
         return int(self.states[0].nbytes + self._readings[0].nbytes)
 
     def field_columns(self, name: str) -> slice:
-        """Columns of `states` that hold a model field."""
+        """Columns of `states` that hold a model field or a part of the memory."""
         return _state_columns(self.scene)[name]
 
     def visual_model(self, state: Array) -> mujoco.MjModel:
@@ -194,6 +202,7 @@ def _plan(scene: Scene) -> Plan:
         substeps=scene.substeps,
         touch_at=sum(slot.size for slot in scene.handles.slots),
         touch_of_sensor=scene.touch_of_sensor,
+        most=np.array([touch.most for touch in scene.handles.touches]),
     )
 
 
@@ -222,7 +231,9 @@ def _default_state(scene: Scene) -> Array:
     row[start : start + len(scene.handles.arm.qpos)] = scene.handles.qpos[
         scene.handles.arm.qpos
     ]
-    return np.concatenate([row, *defaults])
+    return np.concatenate(
+        [row, *defaults, np.zeros(sum(scene.handles.memory.values()))]
+    )
 
 
 def _named_readings(scene: Scene, engine: BatchEngine) -> dict[str, Array]:
@@ -243,7 +254,8 @@ def _state_columns(scene: Scene) -> dict[str, slice]:
         "start_pos": slice(start, command),
         "gripper_command": slice(command, at),
     }
-    for slot in scene.handles.fields:
-        columns[slot.name] = slice(at, at + slot.size)
-        at += slot.size
+    fields = {slot.name: slot.size for slot in scene.handles.fields}
+    for name, size in (*fields.items(), *scene.handles.memory.items()):
+        columns[name] = slice(at, at + size)
+        at += size
     return columns

@@ -4,7 +4,7 @@ Read off the environment's own objects, so that any arm, gripper and task of rob
 works alike, natively and in stock.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -26,8 +26,14 @@ class Sensors:
     joints: name -> hinge or slide joint; gives `<name>_qpos` [1] and `<name>_qvel` [1]
         in rad and rad/s, or m and m/s.
     touches: name -> (side, side), a side being a geom group of the gripper (such as
-        "left_fingerpad"), a body with all below it, or a geom that no body is named
-        like; gives `<name>` [1], 1 in touch.
+        "left_fingerpad"), "arm" for the arm's links, a body with all below it ("world"
+        for anything), or a geom that no body is named like; gives `<name>` [1], 1 in
+        touch.
+    counts: the same, but gives how many contacts there are.
+    forces: name -> site; gives `<name>` [3] N, the force of the site's body on the one
+        that carries it, in the site's frame.
+    memory: name -> k; gives `<name>` [k], numbers that the task keeps of each world's
+        episode, 0 at first (see `Task.remember`).
     fields: name -> (model array, object), such as ("site_pos", "goal"): entries of
         the model that every world has for itself and a reset may set.
     parked: bodies that the task drops out of the way; the fast fidelity does not hold
@@ -38,6 +44,9 @@ class Sensors:
     sites: Mapping[str, str] = field(default_factory=dict)
     joints: Mapping[str, str] = field(default_factory=dict)
     touches: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    counts: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    forces: Mapping[str, str] = field(default_factory=dict)
+    memory: Mapping[str, int] = field(default_factory=dict)
     fields: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     parked: tuple[str, ...] = ()
 
@@ -105,11 +114,12 @@ class Side(NamedTuple):
 
 
 class Touch(NamedTuple):
-    """A named contact flag between two sides."""
+    """A named number of contacts between two sides, or a flag: of them, `most` 1."""
 
     name: str
     first: Side
     second: Side
+    most: float
 
 
 @dataclass(frozen=True)
@@ -117,17 +127,20 @@ class Handles:
     """Indices and gains of a robosuite environment's robot, and a task's sensors.
 
     qpos [nq] is the pose before a reset's randomisation; finger_qpos and finger_dof
-    index it and qvel. `slots` are read from MjData, `fields` set in MjModel.
+    index it and qvel; joint_range [n, 2] is the arm's. `slots` are read from MjData,
+    `fields` set in MjModel, `memory` kept.
     """
 
     arm: Arm
     gripper: Gripper
     qpos: Array
+    joint_range: Array
     finger_qpos: Array
     finger_dof: Array
     slots: tuple[Slot, ...]
     fields: tuple[Slot, ...]
     touches: tuple[Touch, ...]
+    memory: Mapping[str, int]
 
     @property
     def action_dim(self) -> int:
@@ -146,14 +159,16 @@ def find_handles(stock: Any, sensors: Sensors) -> Handles:
         arm=_arm(stock),
         gripper=_gripper(stock),
         qpos=_default_qpos(stock),
+        joint_range=model.jnt_range[robot._ref_arm_joint_indexes].copy(),
         finger_qpos=_finger_indices(robot, "pos"),
         finger_dof=_finger_indices(robot, "vel"),
         slots=(*_robot_slots(stock), *_task_slots(model, sensors)),
         fields=tuple(_field(model, name, *at) for name, at in sensors.fields.items()),
-        touches=tuple(
-            Touch(name, _side(stock, first), _side(stock, second))
-            for name, (first, second) in sensors.touches.items()
+        touches=(
+            *_touches(stock, sensors.touches, most=1.0),
+            *_touches(stock, sensors.counts, most=np.inf),
         ),
+        memory=sensors.memory,
     )
 
 
@@ -165,12 +180,14 @@ def with_joints(handles: Handles, named: dict[str, Array]) -> dict[str, Array]:
     named["gripper_qvel"] = named["qvel"][:, handles.finger_dof]
     named["gripper_closing"] = _closing(handles.gripper, named["gripper_command"])
     named["rest_pos"] = handles.qpos[handles.arm.qpos][None]
+    named["joint_low"], named["joint_high"] = handles.joint_range.T[:, None]
     return named
 
 
 def _closing(gripper: Gripper, command: Array) -> Array:
     """[N] in [-1, 1]: the command of all fingers in the direction that closes them."""
-    return (command * np.sign(gripper.speed)).mean(1)
+    fingers = max(1, len(gripper.speed))
+    return (command * np.sign(gripper.speed)).sum(1) / fingers
 
 
 def lookup(model: mujoco.MjModel, kind: str, name: str) -> int:
@@ -194,9 +211,18 @@ def _find(model: mujoco.MjModel, kind: str, name: str) -> int:
     )
 
 
+def _touches(
+    stock: Any, named: Mapping[str, tuple[str, str]], most: float
+) -> Iterator[Touch]:
+    for name, (first, second) in named.items():
+        yield Touch(name, _side(stock, first), _side(stock, second), most)
+
+
 def _side(stock: Any, name: str) -> Side:
-    hand = stock.robots[0].gripper["right"]
+    robot = stock.robots[0]
+    hand = robot.gripper["right"]
     groups = hand.important_geoms | _PADS.get(type(hand).__name__, {})
+    groups["arm"] = robot.robot_model.contact_geoms
     if name in groups:
         return Side(tuple(groups[name]), None)
     model = stock.sim.model._model
@@ -269,12 +295,15 @@ def _default_qpos(stock: Any) -> Array:
     robot = stock.robots[0]
     qpos = stock.sim.model._model.qpos0.copy()
     qpos[np.array(robot._ref_joint_pos_indexes)] = robot.init_qpos
-    qpos[_finger_indices(robot, "pos")] = robot.gripper["right"].init_qpos
+    fingers = _finger_indices(robot, "pos")
+    if len(fingers):
+        qpos[fingers] = robot.gripper["right"].init_qpos
     return qpos
 
 
 def _finger_indices(robot: Any, kind: str) -> Array:
-    return np.array(getattr(robot, f"_ref_gripper_joint_{kind}_indexes")["right"])
+    indices = getattr(robot, f"_ref_gripper_joint_{kind}_indexes")["right"]
+    return np.array(indices, dtype=int)
 
 
 def _robot_slots(stock: Any) -> tuple[Slot, ...]:
@@ -316,6 +345,17 @@ def _body_slots(model: mujoco.MjModel, name: str, body: int) -> list[Slot]:
         slots.append(Slot(f"{name}_linvel", "qvel", dof, 3))
         slots.append(Slot(f"{name}_angvel", "qvel", dof + 3, 3))
     return slots
+
+
+def force_slots(model: mujoco.MjModel, forces: Mapping[str, str]) -> tuple[Slot, ...]:
+    """Where a model with sensors for them keeps the forces at some sites."""
+    of_kind = model.sensor_type == mujoco.mjtSensor.mjSENS_FORCE
+    slots = []
+    for name, site in forces.items():
+        at_site = model.sensor_objid == lookup(model, "site", site)
+        (sensor,) = np.flatnonzero(of_kind & at_site)
+        slots.append(Slot(name, "sensordata", int(model.sensor_adr[sensor]), 3))
+    return tuple(slots)
 
 
 def _joint_slots(model: mujoco.MjModel, name: str, joint: int) -> list[Slot]:

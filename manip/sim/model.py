@@ -1,12 +1,20 @@
 """The scene that the batch engine steps, compiled from a robosuite environment."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, Literal
 
 import mujoco
 import numpy as np
 
-from manip.sim.handles import Handles, Sensors, Side, Touch, find_handles
+from manip.sim.handles import (
+    Handles,
+    Sensors,
+    Side,
+    Touch,
+    find_handles,
+    force_slots,
+)
 from manip.sim.stock import PHYSICS_DT, make_stock
 
 Array = np.ndarray
@@ -23,8 +31,9 @@ ARENA_BYTES = 64 << 20
 class Scene:
     """A robosuite task and robot, compiled.
 
-    physics: stock MJCF without visual geoms, with a contact sensor for each touch;
-    touch_of_sensor [nsensor] tells which. visual: the stock model, for pictures.
+    physics: stock MJCF without visual geoms, with contact sensors for each touch, which
+    touch_of_sensor tells, and then sensors of forces. visual: the stock model, for
+    pictures.
     """
 
     physics: mujoco.MjModel
@@ -58,11 +67,15 @@ def build_scene(
     owners = []
     for index, touch in enumerate(handles.touches):
         owners += [index] * _add_touch_sensors(spec, touch)
+    for site in sensors.forces.values():
+        _add_force_sensor(spec, site)
+    physics = spec.compile()
+    slots = (*handles.slots, *force_slots(physics, sensors.forces))
     return Scene(
-        physics=spec.compile(),
+        physics=physics,
         visual=stock.sim.model._model,
         stock=stock,
-        handles=handles,
+        handles=replace(handles, slots=slots),
         touch_of_sensor=np.array(owners, dtype=np.int64),
         substeps=round(1 / control_freq / dt),
         control_dt=1 / control_freq,
@@ -126,7 +139,8 @@ def _let_fall(spec: mujoco.MjSpec, parked: tuple[str, ...]) -> None:
 def _add_touch_sensors(spec: mujoco.MjSpec, touch: Touch) -> int:
     """Add a contact sensor a pair, which reads the contacts found; their number."""
     geom, subtree = mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtObj.mjOBJ_XBODY
-    pairs = [(a, b) for a in _names(touch.first) for b in _names(touch.second)]
+    sides = _present(spec, touch.first), _present(spec, touch.second)
+    pairs = list(product(*sides))
     for a, b in pairs:
         spec.add_sensor(
             name=f"{touch.name}/{a}/{b}",
@@ -140,5 +154,17 @@ def _add_touch_sensors(spec: mujoco.MjSpec, touch: Touch) -> int:
     return len(pairs)
 
 
-def _names(side: Side) -> tuple[str, ...]:
-    return side.geoms or (side.body or "",)
+def _add_force_sensor(spec: mujoco.MjSpec, site: str) -> None:
+    spec.add_sensor(
+        name=f"force/{site}",
+        type=mujoco.mjtSensor.mjSENS_FORCE,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        objname=site,
+    )
+
+
+def _present(spec: mujoco.MjSpec, side: Side) -> list[str]:
+    """Names of a side; of its geoms, those that the fidelity has kept."""
+    if side.geoms:
+        return [name for name in side.geoms if spec.geom(name)]
+    return [side.body or ""]

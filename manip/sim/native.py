@@ -60,11 +60,15 @@ class Sim(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """What a control period is: its substeps, and whose flag each touch sensor sets."""
+    """What a control period is: its substeps, and whose number a touch sensor adds to.
+
+    most [K]: the largest number of each touch, 1 for a flag.
+    """
 
     substeps: int
     touch_at: int
     touch_of_sensor: Array
+    most: Array
 
 
 @kernel
@@ -89,8 +93,9 @@ def _store_touches(row: Array, plan: Plan, found: Array) -> None:
     for k in range(plan.touch_at, len(row)):
         row[k] = 0.0
     for k in range(len(plan.touch_of_sensor)):
-        if found[k] > 0.0:
-            row[plan.touch_at + plan.touch_of_sensor[k]] = 1.0
+        touch = plan.touch_of_sensor[k]
+        contacts = row[plan.touch_at + touch] + found[k]
+        row[plan.touch_at + touch] = min(plan.most[touch], contacts)
 
 
 @kernel

@@ -6,7 +6,15 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from manip.sim.handles import Sensors, Side, Slot, find_handles, lookup, with_joints
+from manip.sim.handles import (
+    Sensors,
+    Side,
+    Slot,
+    find_handles,
+    force_slots,
+    lookup,
+    with_joints,
+)
 
 Array = np.ndarray
 
@@ -20,18 +28,18 @@ def stock_reader(stock: Any, sensors: Sensors) -> Callable[[], dict[str, Array]]
     """
     handles = find_handles(stock, sensors)
     model, data = stock.sim.model._model, stock.sim.data._data
-    touches = {
-        touch.name: (_geom_ids(model, touch.first), _geom_ids(model, touch.second))
-        for touch in handles.touches
-    }
+    touches = handles.touches
+    slots = (*handles.slots, *force_slots(model, sensors.forces))
+    sides = [(_geom_ids(model, t.first), _geom_ids(model, t.second)) for t in touches]
     hand = stock.robots[0].gripper["right"]
 
     def read() -> dict[str, Array]:
-        named = {slot.name: _values(data, slot)[None] for slot in handles.slots}
+        named = {slot.name: _values(data, slot)[None] for slot in slots}
         for slot in handles.fields:
             named[slot.name] = _values(model, slot)[None]
-        for name, (first, second) in touches.items():
-            named[name] = np.array([float(_in_touch(data, first, second))])
+        for touch, pair in zip(touches, sides, strict=True):
+            found = float(_contacts(data, *pair))
+            named[touch.name] = np.array([min(found, touch.most)])
         command = np.broadcast_to(hand.current_action, handles.gripper.speed.shape)
         named["gripper_command"] = command[None].copy()
         start = stock.robots[0].part_controllers["right"].initial_joint
@@ -46,11 +54,11 @@ def _values(owner: Any, slot: Slot) -> Array:
     return flat[slot.start : slot.start + slot.size].copy()
 
 
-def _in_touch(data: mujoco.MjData, first: Array, second: Array) -> bool:
+def _contacts(data: mujoco.MjData, first: Array, second: Array) -> int:
     a, b = data.contact.geom.T
     forward = np.isin(a, first) & np.isin(b, second)
     backward = np.isin(b, first) & np.isin(a, second)
-    return bool((forward | backward).any())
+    return int((forward | backward).sum())
 
 
 def _geom_ids(model: mujoco.MjModel, side: Side) -> Array:

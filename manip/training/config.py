@@ -10,6 +10,7 @@ import yaml
 
 from manip.agents.ppo import PPOConfig
 from manip.agents.sac import SACConfig
+from manip.envs.registry import task_names
 from manip.errors import UserError, at_least, unknown
 from manip.sim.model import Fidelity
 
@@ -106,6 +107,17 @@ def recipe_names() -> list[str]:
         for path in (files("assets") / "recipes").iterdir()
         if path.name.endswith(".yaml")
     )
+
+
+def recipes() -> dict[str, TrainConfig]:
+    """Name -> options of the tuned recipes that are shipped for tasks known here."""
+    tasks = {task.lower(): task for task in task_names()}
+    pairs = {name: name.split("-", 1) for name in recipe_names()}
+    return {
+        name: recipe(tasks[task], algo)
+        for name, (task, algo) in pairs.items()
+        if task in tasks
+    }
 
 
 def recipe(task: str, algo: str) -> TrainConfig:

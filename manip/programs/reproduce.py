@@ -1,0 +1,215 @@
+"""`manip reproduce`: rerun shipped recipes and compare with the shipped results."""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+import yaml
+from rich.console import Console
+
+from manip.cpus import machine
+from manip.errors import UserError, at_least, unknown
+from manip.evaluation.results import (
+    RESULTS,
+    Key,
+    Result,
+    Results,
+    Run,
+    load_results,
+    percent,
+)
+from manip.files import write_text
+from manip.programs import cli
+from manip.programs.evaluate import Evaluate, evaluate
+from manip.programs.results import table
+from manip.sim.stock import ROBOTS, check_choice
+from manip.training.config import TrainConfig, recipes, to_dict
+from manip.training.loop import Trainer
+from manip.versions import versions
+
+STOPPED = 3
+
+
+@dataclass(frozen=True)
+class Reproduce:
+    """Rerun shipped recipes, evaluate in stock robosuite, compare with the results.
+
+    Every recipe is trained with seeds 0, 1, ...; its held success agrees with the
+    shipped result of the same seed where their 95 % intervals meet. What was
+    interrupted goes on with the same command. The exit code is 1 if anything is worse
+    than its shipped result.
+    """
+
+    what: Annotated[tuple[str, ...], tyro.conf.Positional]
+    """Tasks (Lift: all of its recipes), recipes (lift-sac), or all."""
+    robot: str | None = None
+    """This arm alone; unless given, the recipe's own and those that have a result."""
+    seeds: int = 3
+    """Seeds of each recipe."""
+    episodes: int = 100
+    """Episodes of each evaluation."""
+    out: Path = Path("runs/reproduce")
+    """Folder of the runs."""
+    json: Path | None = None
+    """Write what was found to this file, too."""
+    write: bool = False
+    """Make what was found the shipped results (assets/results.yaml)."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Train, evaluate, compare: 0 agrees, 1 worse, 3 stopped and saved on the way."""
+    options = cli.parse(Reproduce, arguments, "manip reproduce")
+    for name in ("seeds", "episodes"):
+        at_least(1, f"--{name}", getattr(options, name))
+    stored = load_results()
+    found: list[Result] = []
+    for config in chosen(options, stored):
+        runs = tuple(_runs(config, options, stored))
+        if len(runs) < options.seeds:
+            return STOPPED
+        found.append(_result(config, runs, stored))
+        _keep(found, options, stored)
+    Console().print(table(stored, found))
+    worse = [_name(result) for result in found if "worse" in _verdicts(result, stored)]
+    if worse:
+        Console().print(f"worse than its result: {', '.join(worse)}", style="red")
+    return int(bool(worse))
+
+
+def chosen(options: Reproduce, stored: Results) -> list[TrainConfig]:
+    """The recipes that were asked for, with each of their arms.
+
+    Raises:
+        UserError: no such recipe or arm.
+    """
+    known = recipes()
+    if options.robot:
+        check_choice("robot", options.robot, ROBOTS)
+    names = {*known, *(config.task for config in known.values()), "all"}
+    if not options.what:
+        raise UserError(f"reproduce what? known recipes: {', '.join(sorted(names))}")
+    for asked in options.what:
+        if asked not in names:
+            raise unknown("recipe", asked, sorted(names))
+    return [
+        replace(config, robot=robot)
+        for name, config in known.items()
+        if {"all", name, config.task} & set(options.what)
+        for robot in _robots(config, options, stored)
+    ]
+
+
+def _robots(config: TrainConfig, options: Reproduce, stored: Results) -> list[str]:
+    if options.robot:
+        return [options.robot]
+    others = {
+        result.robot
+        for result in stored.results
+        if (result.task, result.algo) == (config.task, config.algo)
+    }
+    return [config.robot, *sorted(others - {config.robot})]
+
+
+def _runs(config: TrainConfig, options: Reproduce, stored: Results) -> Iterator[Run]:
+    """A run a seed; fewer if it is stopped."""
+    console = Console()
+    for seed in range(options.seeds):
+        name = f"{config.task}-{config.robot}-{config.algo}-{seed}"
+        console.rule(name)
+        trainer = _trainer(replace(config, seed=seed, out=options.out / name))
+        if not trainer.run():
+            return
+        run = _judged(trainer, options.episodes)
+        console.print(f"{name}: {_comparison(run, _key(config), stored)}")
+        yield run
+
+
+def _trainer(config: TrainConfig) -> Trainer:
+    """A new run, or the one that its folder holds.
+
+    Raises:
+        UserError: the folder holds a run with other options.
+    """
+    if not (config.folder / "checkpoints" / "latest.safetensors").is_file():
+        return Trainer(config)
+    recorded = yaml.safe_load((config.folder / "config.yaml").read_text())
+    ours = to_dict(config)
+    if [name for name in ours if name != "resume" and ours[name] != recorded[name]]:
+        raise UserError(
+            f"{config.folder} holds a run with other options than the recipe's: "
+            "remove it, or choose another --out"
+        )
+    return Trainer(replace(config, resume=True))
+
+
+def _judged(trainer: Trainer, episodes: int) -> Run:
+    judged = evaluate(Evaluate(trainer.folder, "stock", episodes))
+    return Run(
+        seed=trainer.config.seed,
+        held=round(judged.success["held"].rate * episodes),
+        episodes=episodes,
+        env_steps=trainer.env_steps,
+        minutes=round(trainer.seconds / 60, 1),
+    )
+
+
+def _result(config: TrainConfig, runs: tuple[Run, ...], stored: Results) -> Result:
+    before = stored.of(_key(config))
+    demonstrations = before.demonstrations if before else False
+    return Result(*_key(config), demonstrations, machine(), runs)
+
+
+def _key(config: TrainConfig) -> Key:
+    return config.task, config.robot, config.algo
+
+
+def _name(result: Result) -> str:
+    return " ".join(result.key)
+
+
+def verdict(run: Run, stored: Run | None) -> str:
+    """How a run compares with the shipped one of its seed."""
+    if stored is None:
+        return "new"
+    if run.rate.low > stored.rate.high:
+        return "better"
+    return "worse" if run.rate.high < stored.rate.low else "agrees"
+
+
+def _verdicts(result: Result, stored: Results) -> list[str]:
+    return [verdict(run, stored.run(result.key, run.seed)) for run in result.runs]
+
+
+def _comparison(run: Run, key: Key, stored: Results) -> str:
+    before = stored.run(key, run.seed)
+    beside = f", shipped {percent(before.rate)}" if before else ""
+    return f"held {percent(run.rate)} %{beside}: {verdict(run, before)}"
+
+
+def _keep(found: Sequence[Result], options: Reproduce, stored: Results) -> None:
+    if options.json:
+        record = {
+            "results": [_record(result, stored) for result in found],
+            "versions": versions(),
+        }
+        write_text(options.json, json.dumps(record, indent=2) + "\n")
+    if options.write:
+        for result in found:
+            stored = stored.having(result)
+        stored.save(RESULTS)
+
+
+def _record(result: Result, stored: Results) -> dict[str, Any]:
+    runs = [_with_stored(run, stored.run(result.key, run.seed)) for run in result.runs]
+    return result.plain() | {"runs": runs}
+
+
+def _with_stored(run: Run, stored: Run | None) -> dict[str, Any]:
+    return asdict(run) | {
+        "rate": asdict(run.rate),
+        "shipped": asdict(stored.rate) if stored else None,
+        "verdict": verdict(run, stored),
+    }

@@ -1,0 +1,122 @@
+"""What the shipped recipes reach: stored, shown, and reproduced."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from manip.errors import UserError
+from manip.evaluation import evaluate as evaluation
+from manip.evaluation.results import Results, Run, load_results, markdown
+from manip.programs import cli, reproduce
+from manip.programs.results import with_table
+from manip.sim.stock import ROBOTS
+from manip.training.config import recipe_names, recipes
+
+README = (Path(__file__).parents[1] / "README.md").read_text()
+
+
+def test_the_readme_shows_the_stored_results() -> None:
+    assert with_table(README, markdown(load_results())) == README
+    with pytest.raises(UserError, match="no place for results"):
+        with_table("no marks", "")
+
+
+def test_every_result_is_of_a_recipe_and_an_arm() -> None:
+    known = {(config.task, config.algo) for config in recipes().values()}
+    stored = load_results()
+    assert len({result.key for result in stored.results}) == len(stored.results) > 2
+    for result in stored.results:
+        assert (result.task, result.algo) in known
+        assert result.robot in ROBOTS
+        for run in result.runs:
+            assert 0 <= run.held <= run.episodes
+            assert 0 < run.rate.low <= run.rate.rate <= run.rate.high <= 1
+
+
+def test_results_survive_their_file(tmp_path: Path) -> None:
+    stored = load_results()
+    stored.save(tmp_path / "results.yaml")
+    assert load_results(tmp_path / "results.yaml") == stored
+    (tmp_path / "results.yaml").write_text("results: 3")
+    with pytest.raises(UserError, match=r"results.yaml is damaged"):
+        load_results(tmp_path / "results.yaml")
+
+
+@pytest.mark.parametrize(
+    ("held", "before", "found"),
+    [
+        (97, 99, "agrees"),
+        (80, 99, "worse"),
+        (99, 80, "better"),
+        (97, None, "new"),
+    ],
+)
+def test_runs_compare_by_their_intervals(held, before, found) -> None:
+    run = Run(0, held, 100, 80_000, 2.0)
+    stored = None if before is None else replace(run, held=before)
+    assert reproduce.verdict(run, stored) == found
+
+
+def asked(*what: str, robot: str | None = None) -> list[tuple[str, str, str]]:
+    options, stored = reproduce.Reproduce(what, robot), load_results()
+    jaco = replace(stored.results[0], task="Lift", algo="sac", robot="Jaco")
+    found = reproduce.chosen(options, stored.having(jaco))
+    return [reproduce._key(config) for config in found]
+
+
+def test_recipes_are_found_by_name_task_and_arm() -> None:
+    assert asked("lift-sac") == [("Lift", "Panda", "sac"), ("Lift", "Jaco", "sac")]
+    assert asked("lift-sac", robot="IIWA") == [("Lift", "IIWA", "sac")]
+    assert asked("Lift") == [("Lift", "Panda", "ppo"), *asked("lift-sac")]
+    assert len(asked("all", robot="Panda")) == len(recipe_names())
+    with pytest.raises(UserError, match="unknown recipe 'Lfit': did you mean 'Lift'"):
+        asked("Lfit")
+    with pytest.raises(UserError, match="reproduce what"):
+        asked()
+
+
+@pytest.fixture
+def tiny(monkeypatch, tmp_path: Path) -> Path:
+    """One tiny recipe, and where its results are stored."""
+    config = recipes()["reach-ppo"]
+    agent = replace(
+        config.agent, rollout_length=8, actor_hidden=(8,), critic_hidden=(8,)
+    )
+    config = replace(
+        config, steps=64, num_worlds=4, eval_every=64, eval_episodes=1, agent=agent
+    )
+    results = tmp_path / "results.yaml"
+    Results({}, ()).save(results)
+    monkeypatch.setattr(reproduce, "recipes", lambda: {"reach-ppo": config})
+    monkeypatch.setattr(reproduce, "load_results", lambda: load_results(results))
+    monkeypatch.setattr(reproduce, "RESULTS", results)
+    monkeypatch.setattr(evaluation, "usable_cpus", lambda: 1)
+    return results
+
+
+def test_a_recipe_is_reproduced_and_compared(tiny: Path, tmp_path: Path) -> None:
+    found = tmp_path / "found.json"
+    command = ["Reach", "--seeds", "1", "--episodes", "4", "--out", str(tmp_path)]
+    assert cli.run(reproduce.main, [*command, "--write"]) == 0
+    (result,) = load_results(tiny).results
+    (run,) = result.runs
+    assert (result.key, run.seed) == (("Reach", "Panda", "ppo"), 0)
+    assert (run.held, run.episodes, run.env_steps) == (0, 4, 64)
+    better = replace(result, runs=(replace(run, held=100, episodes=100),))
+    Results({}, (better,)).save(tiny)
+    assert cli.run(reproduce.main, [*command, "--json", str(found)]) == 1
+    (row,) = json.loads(found.read_text())["results"]
+    assert row["runs"][0]["verdict"] == "worse"
+    assert row["runs"][0]["shipped"]["rate"] == 1.0
+    assert (row["runs"][0]["held"], row["runs"][0]["env_steps"]) == (0, 64)
+    assert load_results(tiny).results == (better,)
+
+
+def test_a_run_with_other_options_is_not_taken_up(tiny: Path, tmp_path: Path) -> None:
+    (config,) = reproduce.recipes().values()
+    folder = tmp_path / "run"
+    reproduce._trainer(replace(config, out=folder)).run()
+    with pytest.raises(UserError, match="holds a run with other options"):
+        reproduce._trainer(replace(config, out=folder, seed=1))
