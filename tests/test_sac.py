@@ -320,6 +320,18 @@ def test_the_actor_acts_after_warm_up() -> None:
         agent.update(transitions()[:, None])
 
 
+def test_bursts_hold_the_grippers_of_a_share_of_the_worlds() -> None:
+    policy = agent_of(replace(SMALL, gripper_bursts=0.5)).policy()
+    seen = transitions(400).select("observation")
+    first, second = [policy(seen.clone())["action"] for _ in range(2)]
+    forced = first[:, -1].abs() == 0.9
+    assert forced.float().mean() == pytest.approx(0.5, abs=0.1)
+    assert (first[forced, -1] > 0).float().mean() == pytest.approx(0.5, abs=0.15)
+    torch.testing.assert_close(second[forced, -1], first[forced, -1])
+    assert (second[~forced, -1] != first[~forced, -1]).all()
+    assert (second[:, :-1] != first[:, :-1]).all()
+
+
 def test_the_deployed_actor_is_an_exponential_average() -> None:
     agent = agent_of(replace(SMALL, actor_average=0.25))
     weight, learning = agent.actor.body[-1].weight, agent.explorer.body[-1].weight

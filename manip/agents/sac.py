@@ -68,28 +68,52 @@ class SACConfig:
     """Steps with uniform actions before learning starts."""
     action_scale: tuple[float, ...] = ()
     """Part of each OSC_POSE action's range that is used; all of it unless given."""
+    gripper_bursts: float = 0.0
+    """Share of a rollout's worlds whose gripper opens, or closes, all through it."""
+
+
+BURST = 0.9
+"""Gripper command of a burst: inside the range, where tanh has an inverse."""
 
 
 class RolloutPolicy(TensorDictModuleBase):
-    """Samples a copy of the actor for exploration; uniform actions to `warm_up`."""
+    """Samples a copy of the actor for exploration; uniform actions to `warm_up`.
+
+    A gripper takes ten steps from closed to open. Noise of single steps does not let go
+    of what an actor wants to hold; with `bursts`, a share of the worlds does.
+    """
 
     in_keys = ["observation"]
     out_keys = ["action"]
 
-    def __init__(self, actor: Actor, warm_up: bool) -> None:
+    def __init__(self, actor: Actor, warm_up: bool, bursts: float = 0.0) -> None:
         super().__init__()
-        self._actor, self._warm_up = deepcopy(actor), warm_up
+        self._actor, self._warm_up, self._bursts = deepcopy(actor), warm_up, bursts
         self._generator = seeded()
+        self._forced: Tensor | None = None
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write `action` [N, A]."""
-        loc, scale = self._actor(tensordict["observation"])
+        action = self._sample(tensordict["observation"])
+        if self._forced is None:
+            self._forced = self._draw_bursts(len(action))
+        action[:, -1] = self._forced.where(self._forced != 0, action[:, -1])
+        return tensordict.set("action", action)
+
+    def _sample(self, observation: Tensor) -> Tensor:
+        loc, scale = self._actor(observation)
         if self._warm_up:
             uniform = torch.rand(loc.shape, generator=self._generator) * 2 - 1
-            return tensordict.set("action", self._actor.action_scale * uniform)
+            return self._actor.action_scale * uniform
         noise = torch.randn(loc.shape, generator=self._generator)
-        return tensordict.set("action", self._actor.squashed(loc + scale * noise))
+        return self._actor.squashed(loc + scale * noise)
+
+    def _draw_bursts(self, worlds: int) -> Tensor:
+        """[N] the gripper's command for the whole rollout; 0 leaves it to the actor."""
+        unit = torch.rand(worlds, generator=self._generator)
+        command = torch.where(unit < self._bursts / 2, BURST, -BURST)
+        return command * (unit < self._bursts)
 
 
 class SAC(Agent):
@@ -132,7 +156,8 @@ class SAC(Agent):
 
     def policy(self) -> TensorDictModuleBase:
         """Uniform at first, then samples of the actor."""
-        return RolloutPolicy(self.explorer, self._seen < self.config.random_steps)
+        warm_up = self._seen < self.config.random_steps
+        return RolloutPolicy(self.explorer, warm_up, self.config.gripper_bursts)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Store the rollout [N, T]; then as many updates as its steps call for."""
