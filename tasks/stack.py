@@ -6,15 +6,16 @@ Failure: none; an episode ends by time.
 Start: both cubes' centres uniform within +-8 cm of the table's, their circles apart,
     any yaw, 1 cm above the table; arm in its default pose with 0.02 rad noise a joint,
     gripper half open. A's edge is 4 cm, B's 5 cm.
-Shaped reward, in [0, 1] a step: 0.1 reach + 0.15 grasp + 0.15 lift + 0.25 align
-    + 0.1 lower + 0.05 on + 0.2 release. Reach is 1 - tanh(5 d) of the tool-A distance
-    d [m]; grasp rises from 0 to 1 as the gripper is told to close, lift over the
-    first 5 cm, align is lift times 1 - tanh(6 r) of the horizontal distance r [m] to
-    B, and lower rises over the last 5 cm above B while r < 1.5 cm; these are paid only
-    while both finger pads touch A and d < 2 cm. Once A rests on B they are paid in full
-    with `on`, and release grows with the opening of the gripper, to 0.9 until success
-    makes it 1. (A held above B earns at most 0.75, A held on B 0.8: agents stay for
-    ever where the next stage pays less, or pays only at its end.)
+Shaped reward, in [0, 1] a step: 0.1 reach + 0.1 grasp + 0.1 lift + 0.2 align
+    + 0.1 lower + 0.05 on + 0.1 open + 0.25 release. Reach is 1 - tanh(5 d) of the
+    tool-A distance d [m]; grasp rises from 0 to 1 as the gripper is told to close, lift
+    over the first 5 cm, align is lift times 1 - tanh(6 r) of the horizontal distance
+    r [m] to B, and lower rises over the last 5 cm above B while r < 1.5 cm; these are
+    paid only while both finger pads touch A and d < 2 cm. Once A rests on B they are
+    paid in full with `on`; open grows from 0 to 1 as the gripper is told to open, and
+    release is success. (A held above B earns at most 0.6, A held on B 0.65: agents stay
+    for ever where the next stage pays less, or pays only at its end. Without `open`
+    they let one pad leave A by a hair's breadth, and lose it again.)
 """
 
 from typing import ClassVar
@@ -66,12 +67,13 @@ class Stack(Task):
     weights: ClassVar[Weights] = {
         "shaped": {
             "reach": 0.1,
-            "grasp": 0.15,
-            "lift": 0.15,
-            "align": 0.25,
+            "grasp": 0.1,
+            "lift": 0.1,
+            "align": 0.2,
             "lower": 0.1,
             "on": 0.05,
-            "release": 0.2,
+            "open": 0.1,
+            "release": 0.25,
         },
         "stock": {
             "reach": 0.125,
@@ -142,8 +144,6 @@ class Stack(Task):
             return self._stock_terms(m)
         on, held = m["on"], m["held"]
         lift = held * ramp(m["height"] - HALF["cubeA"], 0.0, 0.05)
-        opening = ramp(-m["gripper_closing"], -1.0, 1.0)
-        released = np.where(self.success(m), 1.0, 0.9 * opening)
         return {
             "reach": np.maximum(on, near(m["distance"], 0.2)),
             "grasp": np.maximum(on, held * ramp(m["gripper_closing"], -1.0, 1.0)),
@@ -151,7 +151,8 @@ class Stack(Task):
             "align": np.maximum(on, lift * near(m["aside"], 1 / 6)),
             "lower": np.maximum(on, held * _lowered(m)),
             "on": on.astype(float),
-            "release": on * released,
+            "open": on * ramp(-m["gripper_closing"], -1.0, 1.0),
+            "release": on * self.success(m).astype(float),
         }
 
     def _stock_terms(self, m: Measures) -> dict[str, Array]:
