@@ -203,6 +203,12 @@ def test_learning_rates_fall_to_zero_in_the_last_share(tmp_path, monkeypatch) ->
     expected = run.config.agent.learning_rate * np.minimum(1, 2 * (1 - steps / 512))
     np.testing.assert_allclose(rates, expected, atol=1e-12)
     assert steps[-1] == 512
+    (group,) = run.agent.optimisers()["critic"].param_groups
+    run.env_steps += 64  # the last rollout may pass the end
+    for share, rate in ((0.5, 0.0), (0.0, run.config.agent.learning_rate)):
+        run.config = replace(run.config, cool_down=share)
+        run._set_learning_rates()
+        assert group["lr"] == rate
 
 
 @by_algorithm

@@ -109,7 +109,8 @@ class Trainer:
         self._learned |= self.agent.update(found.batch)
 
     def _set_learning_rates(self) -> None:
-        left, last = 1 - self.env_steps / self.config.steps, self.config.cool_down
+        left = max(0.0, 1 - self.env_steps / self.config.steps)
+        last = self.config.cool_down
         share = left / last if left < last else 1.0
         for optimiser in self.agent.optimisers().values():
             for group in optimiser.param_groups:
