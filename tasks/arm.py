@@ -35,6 +35,15 @@ def observe_arm(m: Measures, centre: Array) -> dict[str, Array]:
     }
 
 
+def ready(m: Measures) -> Array:
+    """[N] in [0.5, 1]: 1 with the object held or the gripper open, else less.
+
+    A factor for rewards of coming near: fingers that are closed around nothing come to
+    rest on top of the object, and learn no better.
+    """
+    return np.where(m["held"], 1.0, 0.75 - 0.25 * m["gripper_closing"])
+
+
 def yaw_quaternion(yaw: Array) -> Array:
     """[n, 4] wxyz: rotation by `yaw` [n] rad about the vertical."""
     zero = np.zeros_like(yaw)

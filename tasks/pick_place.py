@@ -10,10 +10,11 @@ Start: the object upright in the first bin, any yaw, uniform in a rectangle of 2
     noise a joint, gripper half open.
 Shaped reward, in [0, 1] a step: 0.1 reach + 0.15 grasp + 0.15 lift + 0.25 carry
     + 0.05 over + 0.1 release + 0.2 place. Reach is 1 - tanh(5 d) of the distance d [m]
-    from the tool to where the object is to be gripped; grasp rises from 0 to 1 as the
-    gripper is told to close, lift over the first 20 cm, and carry is lift times the
-    part of 75 cm by which the object has come near its place; these are paid only while
-    both finger pads touch the object and the tool is inside its box. Held within 7 cm
+    from the tool to where the object is to be gripped, and half of that with a gripper
+    closed around nothing; grasp rises from 0 to 1 as the gripper is told to close, lift
+    over the first 20 cm, and carry is lift times the part of 75 cm by which the object
+    has come near its place; these are paid only while both finger pads touch the object
+    and the tool is inside its box. Held within 7 cm
     of its place they are paid in full with `over`, and release grows as the gripper
     opens. Let go there all of them are, and place grows to a half as the tool moves
     off, until success makes it 1. (Held, it earns less than 0.8; let go, at least 0.8.)
@@ -28,7 +29,7 @@ from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, ramp
 from manip.sim.handles import Sensors
 from manip.sim.model import Scene
-from tasks.arm import observe_arm, start_qpos
+from tasks.arm import observe_arm, ready, start_qpos
 from tasks.objects import PARKED, poses, rotation, scatter, turns, yaw
 
 Array = np.ndarray
@@ -218,9 +219,10 @@ class PickPlace(Task):
         lift = held * ramp(m["height"], 0.0, 0.2)
         nearer = ramp(-_length(m["to_place"]), -0.75, 0.0)
         opening = ramp(-m["gripper_closing"], -1.0, 1.0)
+        reach = ready(m) * near(_length(m["to_grip"]), 0.2)
         away = np.where(self.success(m), 1.0, 0.5 * ramp(m["distance"], 0.0, AWAY))
         return {
-            "reach": np.maximum(let_go, near(_length(m["to_grip"]), 0.2)),
+            "reach": np.maximum(let_go, reach),
             "grasp": np.maximum(paid, held * ramp(m["gripper_closing"], -1.0, 1.0)),
             "lift": np.maximum(paid, lift),
             "carry": np.maximum(paid, lift * nearer),

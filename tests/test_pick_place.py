@@ -56,6 +56,14 @@ def test_it_pays_as_its_docstring_says_and_more_each_stage(cls) -> None:
     assert task.success(m).tolist() == [False] * 8 + [True]
 
 
+def test_a_gripper_closed_around_nothing_reaches_for_half() -> None:
+    task = PickPlaceCan()
+    m = stages(task)
+    m["gripper_closing"] = np.ones(9)
+    reach = task.reward_terms(m, "shaped")["reach"]
+    np.testing.assert_allclose(reach[:3], [0.5 * (1 - np.tanh(1)), 0.5, 1])
+
+
 @pytest.mark.parametrize("cls", TASKS)
 def test_stages_are_reached_one_after_the_other(cls) -> None:
     task = cls()
