@@ -9,15 +9,18 @@ Start: the nut at x in [-11.5, -11] cm, |y| in [11, 22.5] cm on its peg's side, 
     pose with 0.02 rad noise a joint, gripper half open.
 Shaped reward, in [0, 1] a step: 0.1 reach + 0.05 turn + 0.15 grasp + 0.15 lift
     + 0.25 over + 0.05 thread + 0.15 down + 0.05 release + 0.05 stay. Reach is
-    1 - tanh(5 d) of the tool's distance d [m] from the handle; turn rises as the
+    1 - tanh(5 d) of the distance d [m] by which the tool is farther than 1.5 cm from
+    the handle, and half of that with a gripper closed around nothing; turn rises as the
     fingers come to lie across the handle, within 10 cm of it; grasp rises from 0 to 1
-    as the gripper is told to close; lift over the way up to 2 cm above the peg; over
-    is lift times the nearness of the nut to the peg, from afar and within 3 cm, the
-    latter times how well a square nut is turned; down rises as the nut sinks along the
-    peg, once it clears it. All but reach and turn are paid only while both finger pads
-    touch the nut and d < 2 cm. Once the nut is on the peg, what comes before `thread`
-    is paid in full, and release grows with the opening of the gripper. A nut held over
-    its peg earns at most 0.73, on the peg at least 0.78, and with success 1.
+    as the gripper is told to close, the more across the handle the more; half of lift
+    is paid over the first 4 cm, half over the way up to 2 cm above the peg; over is
+    lift times the nearness of the nut to the peg, from afar and within 3 cm, the latter
+    times how well a square nut is turned; down rises as the nut sinks along the peg,
+    once it clears it. All but reach and turn are paid only while both finger pads touch
+    the nut and the tool is within 2 cm of the handle. Once the nut is on the peg, what
+    comes before `thread` is paid in full, and release grows with the opening of the
+    gripper. A nut held over its peg earns at most 0.73, on the peg at least 0.78, and
+    with success 1.
 """
 
 from typing import ClassVar
@@ -29,7 +32,7 @@ from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, ramp
 from manip.sim.handles import Sensors
 from manip.sim.model import Scene
-from tasks.arm import observe_arm, start_qpos, yaw_quaternion
+from tasks.arm import observe_arm, ready, start_qpos, yaw_quaternion
 from tasks.objects import PARKED, rotation, turns, yaw
 
 Array = np.ndarray
@@ -48,6 +51,10 @@ BESIDE, LOW, CLEAR = 0.03, TABLE + 0.05, 0.1 * np.arctanh(0.4)
 """Success [m]: nut beside the peg, its height, its centre from the tool (ibid.)."""
 AROUND = 0.02
 """Distance [m] of the tool from the handle, below which it is around it."""
+AT = 0.015
+"""Distance [m] of the tool from the handle, below which coming nearer pays no more."""
+UP = REST + 0.04
+"""Height [m] over the way to which lifting pays the most."""
 HOVER = TOP + 0.02
 """Height [m] from which a nut's lower side clears the peg by 1 cm."""
 
@@ -152,20 +159,23 @@ class NutAssembly(Task):
             return self._stock_terms(m)
         done, on = self.success(m), m["threaded"] | self.success(m)
         clears = (m["aside"] < self.play) & (self.fit(m) > 0.9)
-        lift = m["held"] * np.maximum(ramp(m["height"], REST, HOVER), clears)
+        up = (ramp(m["height"], REST, UP) + ramp(m["height"], REST, HOVER)) / 2
+        lift = m["held"] * np.maximum(up, clears)
         beside = 0.6 * (1 - ramp(m["aside"], 0.0, 0.5))
         beside += 0.4 * near(m["aside"], 0.03) * self.fit(m)
         down = (on | (m["held"] & clears)) * ramp(-m["height"], -HOVER, -LOW)
         across = (1 + np.cos(2 * m["handle_turn"])) / 2
+        opening = ramp(-m["gripper_closing"], -1.0, 1.0)
+        reach = ready(m) * near(np.maximum(m["distance"] - AT, 0.0), 0.2)
         return {
-            "reach": np.maximum(on, near(m["distance"], 0.2)),
+            "reach": np.maximum(on, reach),
             "turn": np.maximum(on, across * near(m["distance"], 0.1)),
-            "grasp": np.maximum(on, m["held"] * ramp(m["gripper_closing"], -1.0, 1.0)),
+            "grasp": np.maximum(on, m["held"] * across * (1 - opening)),
             "lift": np.maximum(on, lift),
             "over": np.maximum(on, lift * beside),
             "thread": on.astype(float),
             "down": np.maximum(done, down),
-            "release": np.maximum(done, on * ramp(-m["gripper_closing"], -1.0, 1.0)),
+            "release": np.maximum(done, on * opening),
             "stay": done.astype(float),
         }
 

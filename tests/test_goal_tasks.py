@@ -39,17 +39,16 @@ def test_push_pays_as_its_docstring_says() -> None:
     height = np.array([0.02, 0.02, 0.02, 0.02, 0.031])
     cube = np.column_stack([0 * gap, 0 * gap, 0.8 + height])
     goal = np.column_stack([gap, 0 * gap, 0 * gap + 0.8])
-    tool = cube + np.outer([0.24, 0.04, 0, 0, 0], [0, 1, 0])
+    tool = cube + np.outer([0.2, 0, 0, 0, 0], [0, 1, 0])
     task = Push()
-    m = task.measure(readings(cube, goal, tool, np.zeros(5)))
-    near = 0.5 * (1 - np.tanh(0.3))
-    shaped = [0.6 * FAR, 0.1 + 0.5 * FAR, 0.1 + near + 0.4 * 0.1, 1, 0.1]
+    m = task.measure(readings(cube, goal, tool, [0, 0, 1, 1, 1]))
+    near = 0.35 * (1 - np.tanh(0.3))
+    empty = [0.125 * FAR + 0.35 * FAR, 0.125 + 0.35 * FAR]
+    shaped = [*empty, 0.25 + near + 0.4 * 0.1, 1, 0.25]
     np.testing.assert_allclose(paid(task, m, "shaped"), shaped)
     assert task.success(m).tolist() == [False, False, False, True, False]
     far, middle = 1 - np.tanh(2), 1 - np.tanh(0.6)
-    reach = [0.25 * (1 - np.tanh(distance)) for distance in (2.4, 0.4)]
-    first = [each + 0.5 * far for each in reach]
-    stock = [*first, 0.25 + 0.5 * middle, 1, 0.75]
+    stock = [0.75 * far, 0.25 + 0.5 * far, 0.25 + 0.5 * middle, 1, 0.75]
     np.testing.assert_allclose(paid(task, m, "stock"), stock)
 
 
