@@ -7,15 +7,15 @@ Start: both cubes' centres uniform within +-8 cm of the table's, their circles a
     any yaw, 1 cm above the table; arm in its default pose with 0.02 rad noise a joint,
     gripper half open. A's edge is 4 cm, B's 5 cm.
 Shaped reward, in [0, 1] a step: 0.1 reach + 0.1 grasp + 0.1 lift + 0.2 align
-    + 0.1 lower + 0.05 on + 0.1 open + 0.25 release. Reach is 1 - tanh(5 d) of the
+    + 0.15 lower + 0.05 on + 0.1 open + 0.2 release. Reach is 1 - tanh(5 d) of the
     tool-A distance d [m]; grasp rises from 0 to 1 as the gripper is told to close, lift
     over the first 5 cm, align is lift times 1 - tanh(6 r) of the horizontal distance
-    r [m] to B, and lower rises over the last 5 cm above B while r < 1.5 cm; these are
-    paid only while both finger pads touch A and d < 2 cm. Once A rests on B they are
-    paid in full with `on`; open grows from 0 to 1 as the gripper is told to open, and
-    release is success. (A held above B earns at most 0.6, A held on B 0.65: agents stay
-    for ever where the next stage pays less, or pays only at its end. Without `open`
-    they let one pad leave A by a hair's breadth, and lose it again.)
+    r [m] to B, and lower rises over the last 5 cm above B, times 1 - tanh(25 r); these
+    are paid only while both finger pads touch A and d < 2 cm. Once A rests on B they
+    are paid in full with `on`; open grows from 0 to 1 as the gripper is told to open,
+    and release is success. (A held above B earns at most 0.65, A held on B 0.7: agents
+    stay for ever where the next stage pays less, or pays only at its end. Without
+    `open` they let one pad leave A by a hair's breadth, and lose it again.)
 """
 
 from typing import ClassVar
@@ -70,10 +70,10 @@ class Stack(Task):
             "grasp": 0.1,
             "lift": 0.1,
             "align": 0.2,
-            "lower": 0.1,
+            "lower": 0.15,
             "on": 0.05,
             "open": 0.1,
-            "release": 0.25,
+            "release": 0.2,
         },
         "stock": {
             "reach": 0.125,
@@ -192,5 +192,5 @@ def _rests_on_b(m: Measures) -> Array:
 def _lowered(m: Measures) -> Array:
     """[N] in [0, 1]: how near A is to lying on B, from 5 cm above it and not beside."""
     above = m["from_b"][:, 2] - STACKED
-    over = (m["aside"] < 0.015) & (above > -0.005)
+    over = near(m["aside"], 0.04) * (above > -0.005)
     return over * ramp(-above, -0.05, 0.0)

@@ -389,8 +389,8 @@ def test_stack_pays_as_its_docstring_says_and_more_each_stage() -> None:
     shaped = weighted_sum(task.reward_terms(m, "shaped"), task.weights["shaped"])
     aside, tanh = 0.2, np.tanh
     half_up = 0.2 + 0.05 + 0.1 * (1 - tanh(6 * aside))
-    held = [0.1 * (1 - tanh(1)), 0.1, 0.2, half_up, 0.5, 0.5 + 0.098]
-    np.testing.assert_allclose(shaped, [*held, 0.65, 0.7, 1])
+    held = [0.1 * (1 - tanh(1)), 0.1, 0.2, half_up, 0.5, 0.5 + 0.147]
+    np.testing.assert_allclose(shaped, [*held, 0.7, 0.75, 1])
     assert (np.diff(shaped) > 0).all()
     assert task.success(m).tolist() == [False] * 8 + [True]
     stock = weighted_sum(task.reward_terms(m, "stock"), task.weights["stock"])
