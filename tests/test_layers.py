@@ -11,7 +11,7 @@ ROOT = Path(__file__).parent.parent
 
 TOWER = (
     {"errors"},
-    {"compiled", "cpus", "files", "versions"},
+    {"compiled", "cpus", "files", "plain", "versions"},
     {"sealed"},
     {"trees"},
     {"rewards"},

@@ -13,7 +13,7 @@ import imageio_ffmpeg
 import pytest
 import yaml
 
-from manip.agents.policy import CARD, load_policy
+from manip.agents.policy import WEIGHTS, load_policy
 from manip.envs.registry import task_names
 from manip.evaluation import evaluate as evaluation
 from manip.programs import cli, main
@@ -278,9 +278,9 @@ def test_a_damaged_config_is_told_when_resuming(text, told, manip, tmp_path) -> 
 def test_a_damaged_policy_is_told(manip: Manip, run: Path, tmp_path: Path) -> None:
     folder = tmp_path.parent / f"{tmp_path.name}-run"
     shutil.copytree(run, folder)
-    (folder / "policy" / CARD).write_text("{}")
+    (folder / "policy" / WEIGHTS).write_bytes(b"{}")
     for program in ("evaluate", "render"):
-        assert "is not a policy card" in refusal(manip(program, str(folder)))
+        assert "is damaged or not a manip file" in refusal(manip(program, str(folder)))
 
 
 def test_the_installed_command_refuses_as_programs_do(tmp_path: Path) -> None:

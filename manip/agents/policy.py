@@ -1,20 +1,25 @@
-"""A trained policy as files: weights in safetensors, everything else in JSON."""
+"""A trained policy as files: weights and card in safetensors, the card in JSON, too.
+
+policy.safetensors is the policy, sealed by a checksum; policy.json is there to be read
+by people. No file runs code when loaded.
+"""
 
 import json
+import warnings
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from manip.agents.networks import Actor
 from manip.errors import UserError, one_line
-from manip.files import replace_file, write_text
+from manip.files import write_text
+from manip.plain import build
+from manip.trees import load_tree, save_tree
 
-FORMAT = 1
+FORMAT = 2
 """Version of the policy files; raised when they change incompatibly."""
 
 WEIGHTS, CARD = "policy.safetensors", "policy.json"
@@ -63,9 +68,9 @@ class Policy:
 
     def save(self, folder: Path) -> None:
         """Write the policy's files, each whole or not at all."""
-        weights = {name: t.contiguous() for name, t in self.actor.state_dict().items()}
-        replace_file(folder / WEIGHTS, lambda to: save_file(weights, to))
-        write_text(folder / CARD, json.dumps(asdict(self.card), indent=2) + "\n")
+        weights = dict(self.actor.state_dict())
+        save_tree(folder / WEIGHTS, {"card": asdict(self.card), "weights": weights})
+        write_text(folder / CARD, _words(self.card))
 
 
 def load_policy(where: str | Path) -> Policy:
@@ -75,23 +80,21 @@ def load_policy(where: str | Path) -> Policy:
         UserError: nothing there, damaged, or written by an incompatible version.
     """
     folder = Path(where)
-    if (folder / "policy" / CARD).is_file():
+    if (folder / "policy" / WEIGHTS).is_file():
         folder = folder / "policy"
-    if not (folder / CARD).is_file():
-        raise UserError(f"{folder} holds no policy (no {CARD}): is it a run folder?")
-    card = _card(folder / CARD)
+    path = folder / WEIGHTS
+    if not path.is_file():
+        raise UserError(f"{folder} holds no policy (no {WEIGHTS}): is it a run folder?")
+    tree = load_tree(path)
+    card = _card(path, tree)
     try:
         actor = _actor(card)
-    except (AttributeError, RuntimeError, TypeError, ValueError) as error:
-        raise UserError(
-            f"{folder / CARD} describes no network: {one_line(error)}"
-        ) from error
-    try:
-        actor.load_state_dict(load_file(folder / WEIGHTS))
-    except (SafetensorError, RuntimeError, FileNotFoundError) as error:
-        raise UserError(
-            f"{folder / WEIGHTS} does not hold this policy: {one_line(error)}"
-        ) from error
+        actor.load_state_dict(tree["weights"])
+    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        raise UserError(f"{path} holds no policy: {one_line(error)}") from error
+    if not all(tensor.isfinite().all() for tensor in actor.state_dict().values()):
+        raise UserError(f"{path} holds weights that are not finite")
+    _compare(folder / CARD, card)
     return Policy(card, actor)
 
 
@@ -101,13 +104,24 @@ def _actor(card: PolicyCard) -> Actor:
     )
 
 
-def _card(path: Path) -> PolicyCard:
+def _card(path: Path, tree: Any) -> PolicyCard:
+    found = tree.get("card") if isinstance(tree, dict) else None
+    if not isinstance(found, dict) or found.get("format") != FORMAT:
+        form = found.get("format") if isinstance(found, dict) else None
+        raise UserError(f"{path} has format {form}, this version reads {FORMAT}")
     try:
-        found: dict[str, Any] = json.loads(path.read_text())
-        if found["format"] != FORMAT:
-            raise UserError(
-                f"{path} has format {found['format']}, this version reads {FORMAT}"
-            )
-        return PolicyCard(**found)
-    except (json.JSONDecodeError, KeyError, TypeError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is not a policy card: {error}") from error
+        return build(PolicyCard, found)
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from error
+
+
+def _compare(path: Path, card: PolicyCard) -> None:
+    if path.is_file() and path.read_text(errors="replace") != _words(card):
+        warnings.warn(
+            f"{path} says something else than {WEIGHTS}, which is what counts",
+            stacklevel=2,
+        )
+
+
+def _words(card: PolicyCard) -> str:
+    return json.dumps(asdict(card), indent=2) + "\n"
