@@ -32,7 +32,7 @@ HOME = {
     "numba": ("manip/sim", "manip/compiled.py"),
     "llvmlite": ("manip/sim",),
     "robosuite": ("manip/sim/stock.py", "tasks/scenes"),
-    "dm_control": (),
+    "dm_control": ("manip/sim/dm_control_world.py",),
     "tyro": ("manip/programs",),
     "envpool": ("manip/benchmarks",),
     "dm_env": ("manip/envs/dm_env.py",),

@@ -14,6 +14,7 @@ import pytest
 import yaml
 
 from manip.agents.policy import WEIGHTS, load_policy
+from manip.envs.others import other_names
 from manip.envs.registry import task_names
 from manip.evaluation import evaluate as evaluation
 from manip.programs import cli, main
@@ -147,6 +148,7 @@ def test_stock_episodes_do_not_depend_on_the_workers(manip, run, monkeypatch) ->
 def test_list_names_everything_there_is(manip: Manip) -> None:
     found = json.loads(manip("list", "--json").out)
     assert found["tasks"] == task_names() != []
+    assert found["other_tasks"] == other_names() != []
     assert found["robots"] == list(ROBOTS)
     assert found["algorithms"] == list(ALGORITHMS)
     assert found["action_spaces"] == list(CONTROLLERS)

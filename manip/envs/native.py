@@ -8,9 +8,11 @@ import numpy as np
 
 from manip.envs.bank import EVERY, StateBank
 from manip.envs.check import check_start
+from manip.envs.others import OtherTask
 from manip.envs.streams import EpisodeStreams
 from manip.envs.task import Measures, Task
 from manip.envs.worlds import Moment, Worlds
+from manip.errors import UserError
 from manip.sim.engine import BatchEngine, Snapshot
 from manip.sim.model import Fidelity, Scene, load_scene
 
@@ -32,6 +34,9 @@ class NativeWorlds(Worlds):
         dumps: folder for the states of worlds that break, one file each (see
             `manip.trees.load_tree`); nothing is kept unless given.
         horizon, reward, seed: as in `Worlds`.
+
+    Raises:
+        UserError: the task is another library's.
     """
 
     def __init__(
@@ -52,6 +57,8 @@ class NativeWorlds(Worlds):
         scene: Scene | None = None,
         dumps: Path | None = None,
     ) -> None:
+        if isinstance(task, OtherTask):
+            raise UserError(f"{task.name} is not on the batch engine")
         self.scene = scene or load_scene(
             task.robosuite_name, task.sensors, robot, controller, control_freq, fidelity
         )
@@ -68,6 +75,11 @@ class NativeWorlds(Worlds):
     def read(self) -> Measures:
         """As `BatchEngine.read`."""
         return self.engine.read()
+
+    @property
+    def broken_count(self) -> int:
+        """Worlds whose physics broke so far."""
+        return self.engine.broken_count
 
     def visual_model(self, world: int) -> Any:
         """A copy of the stock model with the world's model fields."""

@@ -1,4 +1,4 @@
-"""Tasks by name: entry points of installed packages, or `package.module:Task`."""
+"""Tasks by name: entry points, `package.module:Task`, or `library/name`."""
 
 import importlib
 import sys
@@ -6,6 +6,7 @@ from importlib.metadata import entry_points
 from inspect import get_annotations
 from pathlib import Path
 
+from manip.envs.others import load_other
 from manip.envs.task import Task
 from manip.errors import UserError, unknown
 
@@ -19,7 +20,7 @@ def task_names() -> list[str]:
 
 
 def load_task(name: str) -> Task:
-    """The task called `name`, or the class at `package.module:Class`.
+    """The task called `name`, the class at `package.module:Class`, or a library's.
 
     Modules of the working directory are found as well as installed ones.
 
@@ -31,6 +32,8 @@ def load_task(name: str) -> Task:
         return _checked(name, found[name].load())
     if ":" in name:
         return _checked(name, _import(name))
+    if "/" in name:
+        return load_other(name)
     raise unknown("task", name, found)
 
 

@@ -1,4 +1,4 @@
-"""Tasks as TorchRL environments: on the batch engine, and inside stock robosuite.
+"""Tasks as TorchRL environments: on the batch engine, and stepped by their libraries.
 
 Keys, with N worlds: `observation` [N, D] float32 (see `Worlds.layout`), `action` [N, A]
 in [-1, 1], `reward` [N, 1], `terminated` (the task failed, no future), `truncated`
@@ -17,6 +17,7 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from manip.envs.native import NativeWorlds
+from manip.envs.others import OtherTask, OtherWorlds
 from manip.envs.stock import StockWorlds
 from manip.envs.task import Task
 from manip.envs.worlds import Moment, Worlds
@@ -98,6 +99,21 @@ class NativeEnv(TaskEnv):
 
     def __init__(self, task: Task, num_worlds: int, **options: Any) -> None:
         super().__init__(NativeWorlds(task, num_worlds, **options))
+
+
+class OtherEnv(TaskEnv):
+    """TorchRL environment of another library's task, stepped by that library.
+
+    Args:
+        task: what is to be done.
+        num_worlds: N.
+        options: as in `manip.envs.others.OtherWorlds`.
+    """
+
+    worlds: OtherWorlds
+
+    def __init__(self, task: OtherTask, num_worlds: int, **options: Any) -> None:
+        super().__init__(OtherWorlds(task, num_worlds, **options))
 
 
 class StockEnv(TaskEnv):

@@ -1,4 +1,4 @@
-"""Evaluating a policy on its task, natively or in stock robosuite."""
+"""Evaluating a policy on its task, natively or where the task comes from."""
 
 import multiprocessing
 import time
@@ -9,8 +9,9 @@ from typing import Literal
 import torch
 
 from manip.cpus import usable_cpus
+from manip.envs.others import OtherTask
 from manip.envs.registry import load_task
-from manip.envs.torchrl import NativeEnv, StockEnv
+from manip.envs.torchrl import NativeEnv, OtherEnv, StockEnv, TaskEnv
 from manip.evaluation.episodes import Episode, Policy, run_episodes
 from manip.sim.model import Fidelity
 from manip.sim.stock import Rig
@@ -47,8 +48,9 @@ def stock_episodes(
     rig: Rig,
     progress: Progress = lambda _: None,
 ) -> list[Episode]:
-    """Run episodes in `robosuite.make(...)`, in a process for each usable CPU.
+    """Run episodes in `robosuite.make(...)`, or in the library that the task is of.
 
+    There is a process for each usable CPU.
     Episode e starts from seed + e, with a hard reset as robosuite's defaults have it,
     so that sizes which robosuite samples when it builds a model vary, too.
     """
@@ -76,12 +78,17 @@ def _counted(episodes: Iterator[Episode], progress: Progress) -> Iterator[Episod
         yield episode
 
 
-_worker: dict[str, tuple[StockEnv, Policy]] = {}
+_worker: dict[str, tuple[TaskEnv, Policy]] = {}
 
 
 def _open_worker(policy: Policy, task: str, rig: Rig) -> None:
     torch.set_num_threads(1)
-    env = StockEnv(load_task(task), **rig._asdict(), hard_reset=True)
+    found, options = load_task(task), rig._asdict() | {"hard_reset": True}
+    env = (
+        OtherEnv(found, 1, **options)
+        if isinstance(found, OtherTask)
+        else StockEnv(found, **options)
+    )
     _worker["now"] = (env, policy)
 
 

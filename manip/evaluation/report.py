@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from manip.envs.others import library_of
 from manip.evaluation.episodes import Episode
 from manip.evaluation.statistics import Rate, success_rate
 
@@ -59,7 +60,8 @@ def summarise(episodes: Sequence[Episode], stages: Sequence[str]) -> dict[str, A
 
 def table(result: Evaluation) -> Table:
     """The result for people to read."""
-    title = f"{result.task} · {result.robot} · {result.algo} · {result.env} robosuite"
+    where = f"{result.env} {library_of(result.task)}"
+    title = f"{result.task} · {result.robot} · {result.algo} · {where}"
     shown = Table(title=title, title_style="bold")
     shown.add_column("measure")
     shown.add_column("value", justify="right")

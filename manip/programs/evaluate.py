@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from manip.agents.policy import Policy, load_policy
+from manip.envs.others import library_of
 from manip.envs.registry import load_task
 from manip.errors import at_least
 from manip.evaluation.episodes import Episode
@@ -34,7 +35,7 @@ class Evaluate:
     run: Annotated[Path, tyro.conf.Positional]
     """Run folder, or a folder with a policy."""
     env: Where = "stock"
-    """stock: robosuite.make(...) itself; native: the batch engine."""
+    """stock: robosuite.make(...), or the task's own library; native: batch engine."""
     episodes: int = 100
     """Number of episodes."""
     seed: int = 0
@@ -85,5 +86,5 @@ def _episodes(options: Evaluate, policy: Policy) -> Sequence[Episode]:
     if options.env == "native":
         return native_episodes(*asked, rig, options.fidelity)
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        running = bar.add_task("stock robosuite", total=options.episodes)
+        running = bar.add_task(f"stock {library_of(card.task)}", total=options.episodes)
         return stock_episodes(*asked, rig, lambda n: bar.advance(running, n))

@@ -8,6 +8,7 @@ from importlib.resources import files
 from rich.console import Console
 from rich.table import Table
 
+from manip.envs.others import other_names
 from manip.envs.registry import task_names
 from manip.programs import cli
 from manip.sim.stock import CONTROLLERS, ROBOTS
@@ -40,6 +41,7 @@ def catalogue() -> dict[str, list[str]]:
     """Kind -> names of all that exists."""
     return {
         "tasks": task_names(),
+        "other_tasks": other_names(),
         "robots": list(ROBOTS),
         "algorithms": list(ALGORITHMS),
         "action_spaces": list(CONTROLLERS),

@@ -10,6 +10,7 @@ from pathlib import Path
 import tyro
 import yaml
 
+from manip.envs.others import OtherTask
 from manip.envs.registry import load_task
 from manip.errors import UserError, unknown
 from manip.programs import cli
@@ -31,8 +32,10 @@ class _Start:
 def main(arguments: Sequence[str]) -> int:
     """Train; 0 when the run ended, 3 when it was stopped and saved on the way."""
     config = cli.parse(TrainConfig, arguments, "manip train", _defaults(arguments))
-    load_task(config.task)
+    task = load_task(config.task)
     check_choice("robot", config.robot, ROBOTS)
+    if isinstance(task, OtherTask):
+        print(f"manip: {task.notice}", file=sys.stderr)
     finished = Trainer(config).run()
     if finished:
         print(f"trained policy: {config.folder / 'policy'}", file=sys.stderr)

@@ -19,6 +19,8 @@ from robosuite.controllers import load_part_controller_config  # noqa: E402
 from robosuite.controllers.composite.composite_controller_factory import (  # noqa: E402
     refactor_composite_controller_config,
 )
+from robosuite.environments.base import REGISTERED_ENVS  # noqa: E402
+from robosuite.environments.manipulation.two_arm_env import TwoArmEnv  # noqa: E402
 
 if _gl_backend is None:
     # robosuite sets MUJOCO_GL on import; choosing the backend is manip.sim.gl's job.
@@ -60,19 +62,14 @@ def make_stock(
     """Build `robosuite.make(name, robots=robot)` for headless, state-based use.
 
     Observations come from states only and a reset keeps the compiled model; any
-    further `options` go to robosuite as they are.
+    further `options` go to robosuite as they are. A two-armed environment gets two
+    arms of the kind.
 
     Raises:
         UserError: unknown robot, controller, environment or control frequency.
     """
-    check_choice("robot", robot, ROBOTS)
-    check_choice("controller", controller, CONTROLLERS)
+    check_rig(Rig(robot, controller, control_freq))
     check_choice("robosuite environment", name, robosuite.ALL_ENVIRONMENTS)
-    if control_freq not in CONTROL_FREQUENCIES:
-        raise UserError(
-            f"control frequency {control_freq} Hz is not possible: robosuite keeps its "
-            f"clocks in phase only at {', '.join(map(str, CONTROL_FREQUENCIES))} Hz"
-        )
     settings = {
         "has_renderer": False,
         "has_offscreen_renderer": False,
@@ -84,7 +81,24 @@ def make_stock(
         "seed": seed,
         "ignore_done": True,
     }
-    return robosuite.make(name, robots=robot, **(settings | options))
+    arms = 2 if issubclass(REGISTERED_ENVS[name], TwoArmEnv) else 1
+    return robosuite.make(name, robots=[robot] * arms, **(settings | options))
+
+
+def environment_names() -> tuple[str, ...]:
+    """Names of all robosuite environments that are registered by now."""
+    return tuple(sorted(robosuite.ALL_ENVIRONMENTS))
+
+
+def check_rig(rig: Rig) -> None:
+    """Raise `UserError` for a robot, controller or control frequency that is not."""
+    check_choice("robot", rig.robot, ROBOTS)
+    check_choice("controller", rig.controller, CONTROLLERS)
+    if rig.control_freq not in CONTROL_FREQUENCIES:
+        raise UserError(
+            f"control frequency {rig.control_freq} Hz is not possible: robosuite keeps "
+            f"its clocks in phase only at {', '.join(map(str, CONTROL_FREQUENCIES))} Hz"
+        )
 
 
 def check_choice(kind: str, asked: str, known: tuple[str, ...] | Any) -> None:

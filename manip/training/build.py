@@ -11,8 +11,9 @@ from manip.agents.policy import Policy, PolicyCard
 from manip.agents.ppo import PPO, PPOConfig
 from manip.agents.sac import SAC, SACConfig
 from manip.cpus import usable_cpus
+from manip.envs.others import OtherTask
 from manip.envs.registry import load_task
-from manip.envs.torchrl import NativeEnv
+from manip.envs.torchrl import NativeEnv, OtherEnv, TaskEnv
 from manip.training.config import TrainConfig
 from manip.versions import versions
 
@@ -23,14 +24,11 @@ EVAL_SEED = 1_000_000
 """Added to a run's seed for its evaluations: episodes it never trains on."""
 
 
-def training_env(config: TrainConfig) -> NativeEnv:
+def training_env(config: TrainConfig) -> NativeEnv | OtherEnv:
     """The worlds that a run learns from."""
-    return NativeEnv(
-        load_task(config.task),
+    return _env(
+        config,
         config.num_worlds,
-        robot=config.robot,
-        controller=config.controller,
-        control_freq=config.control_freq,
         fidelity=config.fidelity,
         threads=share_threads(config)[0],
         horizon=config.horizon,
@@ -38,24 +36,28 @@ def training_env(config: TrainConfig) -> NativeEnv:
         seed=config.seed,
         stagger=True,
         own_starts=config.own_starts,
-        dumps=config.folder / "dumps",
     )
 
 
-def evaluation_env(config: TrainConfig) -> NativeEnv:
+def evaluation_env(config: TrainConfig) -> NativeEnv | OtherEnv:
     """The worlds that a run is judged in: exact physics, the task's own horizon."""
-    return NativeEnv(
-        load_task(config.task),
-        config.eval_episodes,
-        robot=config.robot,
-        controller=config.controller,
-        control_freq=config.control_freq,
-        threads=config.threads,
-        seed=config.seed + EVAL_SEED,
-    )
+    seed = config.seed + EVAL_SEED
+    return _env(config, config.eval_episodes, threads=config.threads, seed=seed)
 
 
-def build_agent(config: TrainConfig, env: NativeEnv) -> Agent:
+def _env(config: TrainConfig, worlds: int, **options: Any) -> NativeEnv | OtherEnv:
+    task = load_task(config.task)
+    options |= {
+        "robot": config.robot,
+        "controller": config.controller,
+        "control_freq": config.control_freq,
+    }
+    if isinstance(task, OtherTask):
+        return OtherEnv(task, worlds, **options)
+    return NativeEnv(task, worlds, dumps=config.folder / "dumps", **options)
+
+
+def build_agent(config: TrainConfig, env: TaskEnv) -> Agent:
     """The algorithm, with networks that fit the environment."""
     torch.manual_seed(config.seed)
     spaces = Spaces(
@@ -85,7 +87,7 @@ def share_threads(config: TrainConfig) -> tuple[int, int]:
     return -(-threads // 2), max(1, threads // 2)
 
 
-def policy_of(agent: Agent, config: TrainConfig, env: NativeEnv, steps: int) -> Policy:
+def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Policy:
     """The agent's policy as it is now, with all that an evaluator needs."""
     layout = env.worlds.layout
     card = PolicyCard(

@@ -18,6 +18,7 @@ AgentConfig = SACConfig | PPOConfig
 ALGORITHMS: dict[str, type[AgentConfig]] = {"sac": SACConfig, "ppo": PPOConfig}
 """Algorithm name -> its options."""
 
+Controller = Literal["OSC_POSE", "OSC_POSITION", "JOINT_POSITION", "JOINT_VELOCITY"]
 
 AT_LEAST_ONE = (
     *("steps", "num_worlds", "horizon", "eval_every", "eval_episodes"),
@@ -44,8 +45,8 @@ class TrainConfig:
     """Algorithm: sac or ppo."""
     robot: str = "Panda"
     """Arm (see `manip list`)."""
-    controller: Literal["OSC_POSE", "OSC_POSITION", "JOINT_POSITION"] = "OSC_POSE"
-    """Action space, as robosuite defines it."""
+    controller: Controller = "OSC_POSE"
+    """Action space, as robosuite defines it (JOINT_VELOCITY: dm_control only)."""
     seed: int = 0
     """Seed of the worlds, the network and the exploration."""
     out: Path | None = None
@@ -96,17 +97,15 @@ class TrainConfig:
     @property
     def folder(self) -> Path:
         """The run folder."""
-        name = self.task.replace(":", ".")
+        name = self.task.replace(":", ".").replace("/", "-")
         return self.out or Path("runs") / f"{name}-{self.algo}-{self.seed}"
 
 
 def recipe_names() -> list[str]:
     """Names `<task>-<algo>` of the tuned recipes that are shipped."""
-    return sorted(
-        path.name.removesuffix(".yaml")
-        for path in (files("assets") / "recipes").iterdir()
-        if path.name.endswith(".yaml")
-    )
+    paths = (files("assets") / "recipes").iterdir()
+    names = [path.name.removesuffix(".yaml") for path in paths]
+    return sorted(name for name in names if "-" in name)
 
 
 def recipes() -> dict[str, TrainConfig]:
@@ -123,12 +122,15 @@ def recipes() -> dict[str, TrainConfig]:
 def recipe(task: str, algo: str) -> TrainConfig:
     """The tuned options for a task and an algorithm, or the defaults where none are.
 
+    All tasks of another library share one recipe.
+
     Raises:
         UserError: unknown algorithm.
     """
     if algo not in ALGORITHMS:
         raise unknown("algorithm", algo, ALGORITHMS)
-    path = files("assets") / "recipes" / f"{task.lower()}-{algo}.yaml"
+    name = task.split("/")[0] if "/" in task else f"{task.lower()}-{algo}"
+    path = files("assets") / "recipes" / f"{name}.yaml"
     found = yaml.safe_load(path.read_text()) if path.is_file() else {}
     return from_dict({"task": task, "algo": algo} | found)
 

@@ -145,7 +145,7 @@ class Trainer:
     def _record(self, values: dict[str, float], progress: TrainingProgress) -> None:
         speed = progress.speed(self.env_steps)
         row = {"seconds": self.seconds, "steps_per_second": speed}
-        row |= {"broken_worlds": self.env.worlds.engine.broken_count}
+        row |= {"broken_worlds": self.env.worlds.broken_count}
         row |= self._training_averages() | values
         row |= {f"learn/{name}": value for name, value in self._learned.items()}
         self._log.write(self.env_steps, row)

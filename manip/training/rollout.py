@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from manip.agents.agent import Agent
-from manip.envs.torchrl import NativeEnv
+from manip.envs.torchrl import NativeEnv, OtherEnv
 from manip.evaluation.episodes import Episode, EpisodeTracker
 
 
@@ -52,7 +52,7 @@ class Collector:
     run still repeats itself bit for bit.
     """
 
-    def __init__(self, env: NativeEnv, agent: Agent, ahead: bool) -> None:
+    def __init__(self, env: NativeEnv | OtherEnv, agent: Agent, ahead: bool) -> None:
         self._env, self._agent, self._ahead = env, agent, ahead
         self._rollout = Rollout(env)
         self._pool = ThreadPoolExecutor(1, "manip-collect")

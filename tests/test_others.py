@@ -1,0 +1,243 @@
+"""Tasks of other libraries: they are the library's own, and work as all others do."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from torchrl.envs.utils import check_env_specs
+
+from manip.agents.policy import load_policy
+from manip.envs.others import OtherWorlds, load_other, other_names
+from manip.envs.torchrl import TaskEnv
+from manip.evaluation import evaluate as evaluation
+from manip.programs import cli, main
+from manip.sim.dm_control_world import RIG, SOLVED, composer, manipulation
+from manip.sim.stock import Rig, make_stock, reseed
+from manip.training.config import recipe
+from manip.training.logs import read_metrics
+
+Array = np.ndarray
+
+DM, ROBOSUITE = "dm_control/reach_site_features", "robosuite/TwoArmPegInHole"
+
+
+def opened(name: str, num_worlds: int = 2, **options: Any) -> OtherWorlds:
+    rig = RIG if name.startswith("dm_control") else Rig()
+    options = {"threads": 1, "horizon": 6} | rig._asdict() | options
+    return OtherWorlds(load_other(name), num_worlds, **options)
+
+
+@pytest.fixture(scope="module", params=[DM, ROBOSUITE])
+def worlds(request) -> OtherWorlds:
+    return opened(request.param)
+
+
+def actions(worlds: OtherWorlds, steps: int) -> Array:
+    shape = steps, worlds.num_worlds, worlds.action_dim
+    return np.random.default_rng(0).uniform(-1, 1, shape).astype(np.float32)
+
+
+def begun(worlds: OtherWorlds, seed: int) -> OtherWorlds:
+    worlds.restart(seed)
+    worlds.begin(np.arange(worlds.num_worlds))
+    return worlds
+
+
+def observed(worlds: OtherWorlds, moves: Array) -> Array:
+    return np.array([worlds.step(move).observation for move in moves])
+
+
+# They are the library's own
+
+
+def test_dm_controls_world_is_dm_controls() -> None:
+    worlds = begun(opened(DM, 1), 3)
+    env = composer.Environment(manipulation.load("reach_site_features").task)
+    env.random_state.seed(worlds.episode_seed(0))
+    shown, spec = env.reset().observation, env.action_spec()
+    assert worlds.layout.keys() == shown.keys()
+    for move in actions(worlds, 5):
+        step, moment = env.step(move[0].astype(float) * spec.maximum), worlds.step(move)
+        for name, part in worlds.layout.items():
+            expected = step.observation[name].ravel().astype(np.float32)
+            np.testing.assert_allclose(
+                moment.observation[0, part], expected, rtol=1e-4, atol=1e-6
+            )
+        assert moment.reward == pytest.approx(step.reward)
+        assert moment.success == (step.reward >= SOLVED)
+
+
+def test_robosuites_world_is_robosuites() -> None:
+    worlds = begun(opened(ROBOSUITE, 1), 3)
+    env = make_stock("TwoArmPegInHole", seed=0)
+    assert len(env.robots) == 2
+    reseed(env, worlds.episode_seed(0))
+    env.reset()
+    for move in actions(worlds, 5):
+        shown, reward, _, _ = env.step(move[0].astype(float))
+        moment = worlds.step(move)
+        for name, part in worlds.layout.items():
+            expected = np.ravel(shown[name]).astype(np.float32)
+            np.testing.assert_array_equal(moment.observation[0, part], expected)
+        assert (moment.reward, moment.success) == (reward, env._check_success())
+    assert {"robot1_eef_pos", "peg_to_hole"} <= worlds.layout.keys()
+    assert not [name for name in worlds.layout if "acc" in name]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", other_names())
+def test_every_task_runs(name: str) -> None:
+    worlds = opened(name, 1)
+    check_env_specs(TaskEnv(worlds))
+    first = observed(begun(worlds, 1), actions(worlds, 4))
+    assert np.isfinite(first).all()
+    np.testing.assert_array_equal(observed(begun(worlds, 1), actions(worlds, 4)), first)
+
+
+# They work as all others do
+
+
+def test_an_episode_runs_to_its_time_limit_and_is_repeated(worlds) -> None:
+    check_env_specs(TaskEnv(worlds))
+    begun(worlds, 7)
+    found = [worlds.step(move) for move in actions(worlds, 6)]
+    ends = [moment.truncated.tolist() for moment in found]
+    assert ends == 5 * [[False] * 2] + [[True] * 2]
+    assert not np.any([moment.terminated for moment in found])
+    first = np.array([moment.observation for moment in found])
+    np.testing.assert_array_equal(observed(begun(worlds, 7), actions(worlds, 6)), first)
+    assert not np.allclose(observed(begun(worlds, 8), actions(worlds, 6)), first)
+    assert not np.allclose(first[:, 0], first[:, 1])
+
+
+def test_a_broken_world_is_cut_off(worlds: OtherWorlds) -> None:
+    before = begun(worlds, 0).look().observation
+    count = worlds.broken_count
+    move = actions(worlds, 1)[0]
+    move[1, 0] = np.nan
+    moment = worlds.step(move)
+    assert moment.truncated.tolist() == [False, True]
+    assert worlds.broken_count == count + 1
+    np.testing.assert_array_equal(moment.observation[1], before[1])
+    assert not np.allclose(moment.observation[0], before[0])
+    worlds.begin(np.array([1]))
+    assert not worlds.step(actions(worlds, 1)[0]).truncated.any()
+
+
+def test_saved_worlds_go_on_where_they_were(worlds: OtherWorlds) -> None:
+    moves = actions(worlds, 6)
+    observed(begun(worlds, 2), moves[:4])
+    worlds.begin(np.array([1]))  # saved with no action yet
+    saved, shown = worlds.save_state(), worlds.look().observation
+    rest = observed(worlds, moves[4:])
+    begun(worlds, 2)
+    worlds.load_state(saved)
+    np.testing.assert_array_equal(worlds.look().observation, shown)
+    np.testing.assert_array_equal(observed(worlds, moves[4:]), rest)
+    assert worlds.elapsed.tolist() == [6, 2]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [DM, ROBOSUITE])
+def test_episodes_do_not_depend_on_worlds_and_processes(name: str) -> None:
+    few, many = opened(name, 2), opened(name, 3, threads=2)
+    moves = actions(many, 4)
+    expected = observed(begun(few, 1), moves[:, :2])
+    np.testing.assert_array_equal(observed(begun(many, 1), moves)[:, :2], expected)
+
+
+def test_success_of_dm_control_is_a_full_reward_and_divergence_breaks() -> None:
+    worlds = begun(opened(DM, 3, stagger=True), 0)
+    assert worlds.elapsed.tolist() == [0, 2, 4]
+    world = worlds._crew._here[0]
+    for reward in (0.0, 0.9, 1.0):
+        world._env.task.get_reward = lambda physics, reward=reward: reward
+        assert worlds.step(np.zeros((3, 9))).success[0] == (reward == 1)
+    world._env.physics.data.qvel[0] = np.nan
+    assert worlds.step(np.zeros((3, 9))).truncated[0]
+    assert worlds.broken_count == 1
+
+
+# Programs
+
+
+TINY = [
+    *("--algo", "ppo", "--steps", "64", "--num-worlds", "2", "--threads", "1"),
+    *("--eval-every", "64", "--eval-episodes", "1", "--agent.rollout-length", "16"),
+    *("--agent.actor-hidden", "8", "--agent.critic-hidden", "8", "--horizon", "20"),
+]
+
+
+def start(program: str, *arguments: object) -> int:
+    return cli.run(main._program(program), list(map(str, arguments)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", [DM, "robosuite/TwoArmLift"])
+def test_it_is_trained_and_judged(task, tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr(evaluation, "usable_cpus", lambda: 1)
+    run, result = tmp_path / "run", tmp_path / "eval.json"
+    assert start("train", "--task", task, *TINY, "--out", run) == 0
+    library = task.split("/")[0]
+    assert f"{task} is stepped by {library} itself" in capsys.readouterr().err
+    card = load_policy(run).card
+    assert card.task == task
+    assert start("evaluate", run, "--episodes", 1, "--json", result) == 0
+    assert f"stock {library}" in " ".join(capsys.readouterr().out.split())
+    assert json.loads(result.read_text())["stages"].keys() == {"success"}
+    for command in (("evaluate", run, "--env", "native"), ("render", run)):
+        assert start(*command) == 2
+        assert "is not on the batch engine" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
+    rows = []
+    for halves in ((64, 128), (128,)):
+        run, more = tmp_path / str(len(halves)), ()
+        for steps in halves:
+            options = ("--task", DM, *TINY, "--steps", steps, "--out", run, *more)
+            assert start("train", *options) == 0
+            more = ("--resume",)
+        rows.append(read_metrics(run / "metrics.csv"))
+        assert len(rows[-1]) == 2
+    clocks = {"seconds", "steps_per_second"}
+    whole, resumed = ([{k: r[k] for k in r.keys() - clocks} for r in of] for of in rows)
+    assert whole == resumed
+
+
+DM_TASK, OWN = f"--task {DM}", "it needs fidelity exact and own_starts 0, not "
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ("--task robosuit/Lift", "unknown library 'robosuit': did you mean 'robosuite"),
+        ("--task robosuite/TwoArmLft", "unknown robosuite task 'TwoArmLft': did you"),
+        ("--task dm_control/reach", "unknown dm_control task 'reach': "),
+        (f"{DM_TASK} --robot Panda", "unknown robot 'Panda': known robots: Jaco"),
+        (f"{DM_TASK} --controller OSC_POSE", "known controllers: JOINT_VELOCITY"),
+        (f"{DM_TASK} --control-freq 20", "known control_freqs: 25"),
+        (f"{DM_TASK} --fidelity fast", OWN + "fast and 0.0"),
+        (f"{DM_TASK} --own-starts 0.5", OWN + "exact and 0.5"),
+        (f"{DM_TASK} --reward shaped", "known rewards: stock"),
+        ("--task robosuite/Lift --controller JOINT_VELOCITY", "unknown controller"),
+        ("--task Lift --controller JOINT_VELOCITY", "unknown controller"),
+    ],
+)
+def test_mistakes_are_one_line(options: str, told: str, tmp_path: Path, capsys) -> None:
+    arguments = (*options.split(), "--threads", 1, "--out", tmp_path / "run")
+    assert start("train", *arguments) == 2
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert told in line
+    assert not list(tmp_path.iterdir())
+
+
+def test_tasks_of_a_library_share_its_recipe() -> None:
+    found = recipe("dm_control/lift_brick_features", "sac")
+    assert (found.robot, found.controller, found.control_freq) == RIG
+    assert (found.fidelity, found.reward, found.horizon) == ("exact", "stock", 250)
+    assert found.folder == Path("runs/dm_control-lift_brick_features-sac-0")
+    assert recipe("robosuite/Door", "ppo").horizon == 500
