@@ -7,15 +7,17 @@ Start: both cubes' centres uniform within +-8 cm of the table's, their circles a
     any yaw, 1 cm above the table; arm in its default pose with 0.02 rad noise a joint,
     gripper half open. A's edge is 4 cm, B's 5 cm.
 Shaped reward, in [0, 1] a step: 0.1 reach + 0.1 grasp + 0.1 lift + 0.2 align
-    + 0.15 lower + 0.05 on + 0.1 open + 0.2 release. Reach is 1 - tanh(5 d) of the
-    tool-A distance d [m]; grasp rises from 0 to 1 as the gripper is told to close, lift
-    over the first 5 cm, align is lift times 1 - tanh(6 r) of the horizontal distance
-    r [m] to B, and lower rises over the last 5 cm above B, times 1 - tanh(25 r); these
-    are paid only while both finger pads touch A and d < 2 cm. Once A rests on B they
-    are paid in full with `on`; open grows from 0 to 1 as the gripper is told to open,
-    and release is success. (A held above B earns at most 0.65, A held on B 0.7: agents
-    stay for ever where the next stage pays less, or pays only at its end. Without
-    `open` they let one pad leave A by a hair's breadth, and lose it again.)
+    + 0.15 lower + 0.05 on + 0.1 open + 0.1 release + 0.1 clear. Reach is 1 - tanh(5 d)
+    of the tool-A distance d [m]; grasp rises from 0 to 1 as the gripper is told to
+    close, lift over the first 5 cm, align is lift times 1 - tanh(6 r) of the horizontal
+    distance r [m] to B, and lower rises over the last 5 cm above B, times
+    1 - tanh(25 r); these are paid only while both finger pads touch A and d < 2.5 cm.
+    Once A rests on B they are paid in full with `on`; open grows from 0 to 1 as the
+    gripper is told to open, release is success, and clear rises with it until the tool
+    is 6 cm away. (A held above B earns at most 0.65, A held on B 0.7: agents stay for
+    ever where the next stage pays less, or pays only at its end. Without `open` they
+    let one pad leave A by a hair's breadth, and lose it again; without `clear` the hand
+    stays, and knocks A down.)
 """
 
 from typing import ClassVar
@@ -44,8 +46,10 @@ DROP = 0.01
 """Height [m] above the table from which the cubes are dropped (ibid.)."""
 LIFTED = 0.04
 """Success height [m] of A's centre above the table (ibid.)."""
-AROUND = 0.02
+AROUND = 0.025
 """Distance [m] of the tool from A's centre, below which it is around it."""
+CLEAR = 0.06
+"""Distance [m] of the tool from A's centre, from which it does not disturb it."""
 STACKED = HALF["cubeA"] + HALF["cubeB"]
 """Height [m] of A's centre above B's when A lies on B."""
 
@@ -73,7 +77,8 @@ class Stack(Task):
             "lower": 0.15,
             "on": 0.05,
             "open": 0.1,
-            "release": 0.2,
+            "release": 0.1,
+            "clear": 0.1,
         },
         "stock": {
             "reach": 0.125,
@@ -153,6 +158,7 @@ class Stack(Task):
             "on": on.astype(float),
             "open": on * ramp(-m["gripper_closing"], -1.0, 1.0),
             "release": on * self.success(m).astype(float),
+            "clear": on * self.success(m) * ramp(m["distance"], 0.0, CLEAR),
         }
 
     def _stock_terms(self, m: Measures) -> dict[str, Array]:

@@ -374,7 +374,7 @@ def test_stack_pays_as_its_docstring_says_and_more_each_stage() -> None:
     lying, lifted = [-0.1, 0.0, 0.82], [-0.1, 0.0, 0.845]
     offsets = [[0, 0, above + 0.05], [0, 0, above + 0.001], *[[0, 0, above]] * 3]
     a = np.vstack([[lying] * 3, lifted, b + offsets])
-    far, closing = [0.2, *[0.0] * 8], [-1, -1, 1, 1, 1, 1, 1, 0, -1]
+    far, closing = [0.2, *[0.0] * 7, 0.06], [-1, -1, 1, 1, 1, 1, 1, 0, -1]
     read = {
         "a_pos": a,
         "b_pos": np.tile(b, (9, 1)),
