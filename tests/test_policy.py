@@ -2,6 +2,7 @@
 
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
+from manip.agents import policy as policies
 from manip.agents.networks import Actor
 from manip.agents.policy import CARD, WEIGHTS, Policy, PolicyCard, load_policy
 from manip.errors import DamagedError, UserError
@@ -129,3 +131,14 @@ def test_damaged_and_pickled_files_are_refused(folder: Path) -> None:
         weights.write_bytes(damaged)
         with pytest.raises(DamagedError, match=f"{WEIGHTS} is damaged or not a manip"):
             load_policy(folder)
+
+
+def test_a_shipped_policy_is_found_by_its_name(tmp_path: Path, monkeypatch) -> None:
+    policy = make_policy()
+    monkeypatch.setattr(policies, "SHIPPED", tmp_path)
+    assert policy.card.name == "Lift"
+    assert replace(policy.card, robot="IIWA").name == "Lift-IIWA"
+    policy.save(tmp_path / "Lift")
+    assert load_policy("Lift").card == policy.card
+    with pytest.raises(UserError, match=r"holds no policy .*shipped policies: Lift"):
+        load_policy("Lfit")

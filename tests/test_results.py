@@ -6,12 +6,16 @@ from pathlib import Path
 
 import pytest
 
+from manip.agents import policy
+from manip.agents.policy import load_policy, shipped_policies
+from manip.envs.native import NativeWorlds
+from manip.envs.registry import load_task
 from manip.errors import UserError
 from manip.evaluation import evaluate as evaluation
 from manip.evaluation.results import Results, Run, load_results, markdown
 from manip.programs import cli, reproduce
 from manip.programs.results import with_table
-from manip.sim.stock import ROBOTS
+from manip.sim.stock import ROBOTS, Rig
 from manip.training.config import recipe_names, recipes
 
 README = (Path(__file__).parents[1] / "README.md").read_text()
@@ -33,6 +37,27 @@ def test_every_result_is_of_a_recipe_and_an_arm() -> None:
         for run in result.runs:
             assert 0 <= run.held <= run.episodes
             assert 0 < run.rate.low <= run.rate.rate <= run.rate.high <= 1
+
+
+@pytest.mark.parametrize("name", shipped_policies())
+def test_a_shipped_policy_loads_and_has_a_result(name: str) -> None:
+    card = load_policy(name).card
+    assert card.name == name
+    run = load_results().run((card.task, card.robot, card.algo), card.seed)
+    assert run
+    assert run.env_steps >= card.env_steps
+    assert run.rate.rate >= reproduce.WORTH
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", shipped_policies())
+def test_a_shipped_policy_fits_its_task(name: str) -> None:
+    card = load_policy(name).card
+    rig = Rig(card.robot, card.controller, card.control_freq)
+    worlds = NativeWorlds(load_task(card.task), 1, **rig._asdict(), threads=1)
+    assert worlds.action_dim == card.action_dim
+    found = {name: [part.start, part.stop] for name, part in worlds.layout.items()}
+    assert found == card.layout
 
 
 def test_results_survive_their_file(tmp_path: Path) -> None:
@@ -92,18 +117,24 @@ def tiny(monkeypatch, tmp_path: Path) -> Path:
     monkeypatch.setattr(reproduce, "recipes", lambda: {"reach-ppo": config})
     monkeypatch.setattr(reproduce, "load_results", lambda: load_results(results))
     monkeypatch.setattr(reproduce, "RESULTS", results)
+    for module in (policy, reproduce):
+        monkeypatch.setattr(module, "SHIPPED", tmp_path / "policies")
     monkeypatch.setattr(evaluation, "usable_cpus", lambda: 1)
     return results
 
 
 def test_a_recipe_is_reproduced_and_compared(tiny: Path, tmp_path: Path) -> None:
     found = tmp_path / "found.json"
-    command = ["Reach", "--seeds", "1", "--episodes", "4", "--out", str(tmp_path)]
+    command = ["Reach", "--seeds", "1", "--episodes", "1", "--out", str(tmp_path)]
     assert cli.run(reproduce.main, [*command, "--write"]) == 0
     (result,) = load_results(tiny).results
     (run,) = result.runs
     assert (result.key, run.seed) == (("Reach", "Panda", "ppo"), 0)
-    assert (run.held, run.episodes, run.env_steps) == (0, 4, 64)
+    assert (run.held, run.episodes, run.env_steps) == (0, 1, 64)
+    assert shipped_policies() == {}  # it did not hold
+    good = replace(result, runs=(replace(run, held=1),))
+    reproduce._ship_policy(good, tmp_path, load_results(tiny))
+    assert load_policy("Reach").card.env_steps == 64
     better = replace(result, runs=(replace(run, held=100, episodes=100),))
     Results({}, (better,)).save(tiny)
     assert cli.run(reproduce.main, [*command, "--json", str(found)]) == 1
@@ -118,5 +149,5 @@ def test_a_run_with_other_options_is_not_taken_up(tiny: Path, tmp_path: Path) ->
     (config,) = reproduce.recipes().values()
     folder = tmp_path / "run"
     reproduce._trainer(replace(config, out=folder)).run()
-    with pytest.raises(UserError, match="holds a run with other options"):
-        reproduce._trainer(replace(config, out=folder, seed=1))
+    with pytest.raises(UserError, match="cannot go on with other options"):
+        reproduce._trainer(replace(config, out=folder, seed=1)).run()

@@ -7,6 +7,7 @@ by people. No file runs code when loaded.
 import json
 import warnings
 from dataclasses import asdict, dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,9 @@ FORMAT = 2
 """Version of the policy files; raised when they change incompatibly."""
 
 WEIGHTS, CARD = "policy.safetensors", "policy.json"
+
+SHIPPED = Path(str(files("assets"))) / "policies"
+"""Folder of the policies that are shipped, by their names."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,11 @@ class PolicyCard:
     format: int = FORMAT
 
     @property
+    def name(self) -> str:
+        """Of the policy if it is shipped: its task, and its arm if not a Panda."""
+        return self.task if self.robot == "Panda" else f"{self.task}-{self.robot}"
+
+    @property
     def observation_dim(self) -> int:
         """D, the length of the observation vector."""
         return max(stop for _, stop in self.layout.values())
@@ -73,18 +82,20 @@ class Policy:
         write_text(folder / CARD, _words(self.card))
 
 
+def shipped_policies() -> dict[str, Path]:
+    """Name -> folder of the policies that are shipped."""
+    return {
+        path.parent.name: path.parent for path in sorted(SHIPPED.glob(f"*/{WEIGHTS}"))
+    }
+
+
 def load_policy(where: str | Path) -> Policy:
-    """Read a policy from its folder, or from the run folder around it.
+    """Read a policy from its folder, the run folder around it, or by its shipped name.
 
     Raises:
         UserError: nothing there, damaged, or written by an incompatible version.
     """
-    folder = Path(where)
-    if (folder / "policy" / WEIGHTS).is_file():
-        folder = folder / "policy"
-    path = folder / WEIGHTS
-    if not path.is_file():
-        raise UserError(f"{folder} holds no policy (no {WEIGHTS}): is it a run folder?")
+    path = _find(where)
     tree = load_tree(path)
     card = _card(path, tree)
     try:
@@ -94,8 +105,21 @@ def load_policy(where: str | Path) -> Policy:
         raise UserError(f"{path} holds no policy: {one_line(error)}") from error
     if not all(tensor.isfinite().all() for tensor in actor.state_dict().values()):
         raise UserError(f"{path} holds weights that are not finite")
-    _compare(folder / CARD, card)
+    _compare(path.with_name(CARD), card)
     return Policy(card, actor)
+
+
+def _find(where: str | Path) -> Path:
+    shipped, folder = shipped_policies(), Path(where)
+    for path in (folder / "policy" / WEIGHTS, folder / WEIGHTS):
+        if path.is_file():
+            return path
+    if str(where) in shipped:
+        return shipped[str(where)] / WEIGHTS
+    raise UserError(
+        f"{where} holds no policy (no {WEIGHTS}): is it a run folder? "
+        f"shipped policies: {', '.join(shipped) or 'none'}"
+    )
 
 
 def _actor(card: PolicyCard) -> Actor:

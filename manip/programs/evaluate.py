@@ -33,7 +33,7 @@ class Evaluate:
     """
 
     run: Annotated[Path, tyro.conf.Positional]
-    """Run folder, or a folder with a policy."""
+    """Run folder, folder with a policy, or name of a shipped one (see `manip list`)."""
     env: Where = "stock"
     """stock: robosuite.make(...), or the task's own library; native: batch engine."""
     episodes: int = 100

@@ -3,11 +3,11 @@
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 
 from rich.console import Console
 from rich.table import Table
 
+from manip.agents.policy import shipped_policies
 from manip.envs.others import other_names
 from manip.envs.registry import task_names
 from manip.programs import cli
@@ -46,12 +46,5 @@ def catalogue() -> dict[str, list[str]]:
         "algorithms": list(ALGORITHMS),
         "action_spaces": list(CONTROLLERS),
         "recipes": recipe_names(),
-        "policies": _policies(),
+        "policies": list(shipped_policies()),
     }
-
-
-def _policies() -> list[str]:
-    folder = files("assets") / "policies"
-    if not folder.is_dir():
-        return []
-    return sorted(entry.name for entry in folder.iterdir() if entry.is_dir())

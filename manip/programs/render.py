@@ -25,7 +25,7 @@ class Render:
     """Film a policy at work, offscreen: EGL, else OSMesa, whichever works."""
 
     run: Annotated[Path, tyro.conf.Positional]
-    """Run folder, or a folder with a policy."""
+    """Run folder, folder with a policy, or name of a shipped one (see `manip list`)."""
     out: Path = Path("video.mp4")
     """File to write: .mp4 or .gif."""
     episodes: int = 3

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-import yaml
 from rich.console import Console
 
+from manip.agents.policy import SHIPPED, PolicyCard, load_policy, shipped_policies
 from manip.cpus import machine
 from manip.errors import UserError, at_least, unknown
 from manip.evaluation.results import (
@@ -26,11 +26,16 @@ from manip.programs import cli
 from manip.programs.evaluate import Evaluate, evaluate
 from manip.programs.results import table
 from manip.sim.stock import ROBOTS, check_choice
-from manip.training.config import TrainConfig, recipes, to_dict
+from manip.training.checkpoint import Checkpoints
+from manip.training.config import TrainConfig, recipes
 from manip.training.loop import Trainer
 from manip.versions import versions
 
 STOPPED = 3
+"""Exit code: interrupted and saved."""
+
+WORTH = 0.9
+"""Rate of held success from which a policy is shipped."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +61,8 @@ class Reproduce:
     json: Path | None = None
     """Write what was found to this file, too."""
     write: bool = False
-    """Make what was found the shipped results (assets/results.yaml)."""
+    """Make what was found the shipped results (assets/results.yaml), and the best
+    policy the shipped one (assets/policies) if it succeeds well enough."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -117,7 +123,7 @@ def _runs(config: TrainConfig, options: Reproduce, stored: Results) -> Iterator[
     """A run a seed; fewer if it is stopped."""
     console = Console()
     for seed in range(options.seeds):
-        name = f"{config.task}-{config.robot}-{config.algo}-{seed}"
+        name = _run_name(_key(config), seed)
         console.rule(name)
         trainer = _trainer(replace(config, seed=seed, out=options.out / name))
         if not trainer.run():
@@ -128,21 +134,9 @@ def _runs(config: TrainConfig, options: Reproduce, stored: Results) -> Iterator[
 
 
 def _trainer(config: TrainConfig) -> Trainer:
-    """A new run, or the one that its folder holds.
-
-    Raises:
-        UserError: the folder holds a run with other options.
-    """
-    if not (config.folder / "checkpoints" / "latest.safetensors").is_file():
-        return Trainer(config)
-    recorded = yaml.safe_load((config.folder / "config.yaml").read_text())
-    ours = to_dict(config)
-    if [name for name in ours if name != "resume" and ours[name] != recorded[name]]:
-        raise UserError(
-            f"{config.folder} holds a run with other options than the recipe's: "
-            "remove it, or choose another --out"
-        )
-    return Trainer(replace(config, resume=True))
+    """A new run, or the one that its folder holds."""
+    resume = Checkpoints(config.folder).exist()
+    return Trainer(replace(config, resume=resume))
 
 
 def _judged(trainer: Trainer, episodes: int) -> Run:
@@ -160,6 +154,10 @@ def _result(config: TrainConfig, runs: tuple[Run, ...], stored: Results) -> Resu
     before = stored.of(_key(config))
     demonstrations = before.demonstrations if before else False
     return Result(*_key(config), demonstrations, machine(), runs)
+
+
+def _run_name(key: Key, seed: int) -> str:
+    return "-".join((*key, str(seed)))
 
 
 def _key(config: TrainConfig) -> Key:
@@ -198,8 +196,25 @@ def _keep(found: Sequence[Result], options: Reproduce, stored: Results) -> None:
         write_text(options.json, json.dumps(record, indent=2) + "\n")
     if options.write:
         for result in found:
+            _ship_policy(result, options.out, stored)
             stored = stored.having(result)
         stored.save(RESULTS)
+
+
+def _ship_policy(result: Result, out: Path, stored: Results) -> None:
+    """Ship the best run's policy, if worth it and better than another algorithm's."""
+    best = max(result.runs, key=lambda run: run.rate.rate)
+    policy = load_policy(out / _run_name(result.key, best.seed))
+    if best.rate.rate >= WORTH and best.rate.rate > _rival(policy.card, stored):
+        policy.save(SHIPPED / policy.card.name)
+
+
+def _rival(card: PolicyCard, stored: Results) -> float:
+    """What the shipped policy reaches, if it is of another algorithm."""
+    folder = shipped_policies().get(card.name)
+    before = load_policy(folder).card if folder else card
+    run = stored.run((before.task, before.robot, before.algo), before.seed)
+    return run.rate.rate if run and before.algo != card.algo else 0.0
 
 
 def _record(result: Result, stored: Results) -> dict[str, Any]:
