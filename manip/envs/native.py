@@ -8,6 +8,7 @@ import numpy as np
 
 from manip.envs.bank import EVERY, StateBank
 from manip.envs.check import check_start
+from manip.envs.faults import Fault
 from manip.envs.others import OtherTask
 from manip.envs.streams import EpisodeStreams
 from manip.envs.task import Measures, Task
@@ -15,6 +16,12 @@ from manip.envs.worlds import Moment, Worlds
 from manip.errors import UserError
 from manip.sim.engine import BatchEngine, Snapshot
 from manip.sim.model import Fidelity, Scene, load_scene
+
+DUMP_FORMAT = 1
+"""Version of the files that `manip replay` reads."""
+
+MOST_DUMPS = 20
+"""Files kept a run."""
 
 
 class NativeWorlds(Worlds):
@@ -31,8 +38,8 @@ class NativeWorlds(Worlds):
         own_starts: share of the episodes that begin in a state which the worlds have
             been in before (see `manip.envs.bank`).
         scene: a compiled scene to share, instead of building one.
-        dumps: folder for the states of worlds that break, one file each (see
-            `manip.trees.load_tree`); nothing is kept unless given.
+        dumps: folder for the steps that went wrong, a file each, for `manip replay`;
+            nothing is kept unless given.
         horizon, reward, seed: as in `Worlds`.
 
     Raises:
@@ -67,7 +74,14 @@ class NativeWorlds(Worlds):
         self._own_starts = own_starts
         stages = len(task.stages)
         self._bank = StateBank(stages, self.engine.save()) if own_starts else None
+        self._rig = {
+            "robot": robot,
+            "controller": controller,
+            "control_freq": control_freq,
+            "fidelity": fidelity,
+        }
         self._dumps = dumps
+        self._before = self.engine.save(), np.zeros(0)
         action_dim = self.scene.handles.action_dim
         super().__init__(task, num_worlds, action_dim, horizon, reward, seed)
         check_start(task, self.scene)
@@ -113,29 +127,33 @@ class NativeWorlds(Worlds):
         self.engine.remember(worlds, memory)
 
     def _move(self, action: np.ndarray) -> np.ndarray:
-        self.engine.step(action)
         if self._dumps:
-            for world in map(int, np.flatnonzero(self.engine.broken)):
-                self._dump(self._dumps, world, action[world])
+            self._before = self.engine.save(), action
+        self.engine.step(action)
         return self.engine.broken
 
-    def _dump(self, folder: Path, world: int, action: np.ndarray) -> None:
-        """Keep the state and the action from which a world broke."""
+    def _kept(self, fault: Fault) -> str:
+        if not self._dumps or not fault.step or _count(self._dumps) >= MOST_DUMPS:
+            return ""
+        return f"; manip replay {self._dump(self._dumps, fault)}"
+
+    def _dump(self, folder: Path, fault: Fault) -> Path:
+        """Keep what the world was before the step, and the action."""
         from manip.trees import save_tree  # which loads torch
 
-        episode, step = int(self.episode[world]), int(self.elapsed[world])
-        fault = {
-            "task": self.task.name,
-            "seed": self.seed,
-            "world": world,
-            "episode": episode,
-            "step": step,
-            "state": self.engine.states[world],
-            "action": action,
+        path = folder / f"{fault.name}.safetensors"
+        before, action = self._before
+        step = {
+            "fault": fault._asdict(),
+            "task": f"{type(self.task).__module__}:{type(self.task).__qualname__}",
+            "rig": self._rig,
+            "reward": self.reward_set,
+            "state": before.states[fault.world],
+            "readings": before.readings[fault.world],
+            "action": np.asarray(action[fault.world], float),
         }
-        save_tree(
-            folder / f"world{world}-episode{episode}-step{step}.safetensors", fault
-        )
+        save_tree(path, {"format": DUMP_FORMAT, **step})
+        return path
 
     def save_state(self) -> dict[str, Any]:
         """Everything the coming steps depend on: worlds, clocks, episode counts."""
@@ -161,3 +179,7 @@ class NativeWorlds(Worlds):
         self.engine.broken_count = state["broken_count"]
         if self._bank:
             self._bank.load_state(state["bank"])
+
+
+def _count(folder: Path) -> int:
+    return len(list(folder.iterdir())) if folder.is_dir() else 0

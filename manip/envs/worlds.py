@@ -4,13 +4,16 @@ Plain numpy: what TorchRL, Gymnasium and dm_env see of a task are adaptors of th
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from manip.envs.check import check_task
+from manip.envs.faults import Fault, not_finite
 from manip.envs.task import Measures, Task
+from manip.errors import UserError
 from manip.rewards.compose import weighted_sum
 from manip.sim.stock import check_choice
 
@@ -57,7 +60,11 @@ class Worlds(ABC):
         layout: observation part -> slice of the observation vector.
         elapsed: [N] control steps since each world's episode began.
         episode: [N] number of each world's episode; -1 before the first.
+        faults: the latest worlds that were lost; whoever tells of them removes them.
+        stop_at_faults: whether a world that is lost is an error.
     """
+
+    stop_at_faults = False
 
     def __init__(
         self,
@@ -76,8 +83,11 @@ class Worlds(ABC):
         self.reward_set = reward
         self.reward_names = tuple(task.weights[reward])
         self.elapsed = np.zeros(num_worlds, dtype=np.int64)
+        self.faults: deque[Fault] = deque(maxlen=1000)
         check_task(task, self.read(), num_worlds)
         self.layout = _layout(task.observe(task.measure(self.read())))
+        width = max(part.stop for part in self.layout.values())
+        self._seen = np.zeros((num_worlds, width), np.float32)
         self.seed = seed
         self.restart()
 
@@ -118,6 +128,9 @@ class Worlds(ABC):
         """Advance all worlds by one control step of action [N, A] in [-1, 1]."""
         broken = self._move(action)
         self.elapsed += 1
+        if broken.any():
+            ill = broken & np.isnan(action).any(axis=1)
+            self._note([("action", ill), ("physics", broken & ~ill)])
         moment = self._moment((self.elapsed >= self.horizon) | broken)
         self._remember(np.flatnonzero(~broken))
         return moment
@@ -125,7 +138,7 @@ class Worlds(ABC):
     def look(self) -> Moment:
         """The worlds as they are now, as an episode begins: nothing has ended."""
         never = np.zeros(self.num_worlds, bool)
-        return self._moment(never)._replace(terminated=never)
+        return self._moment(never)._replace(terminated=never, truncated=never)
 
     def _remember(self, worlds: Array) -> None:
         if self.task.sensors.memory:
@@ -137,10 +150,10 @@ class Worlds(ABC):
     def _moment(self, over: Array) -> Moment:
         task = self.task
         m = task.measure(self.read())
-        terms = task.reward_terms(m, self.reward_set)
+        parts, terms = task.observe(m), task.reward_terms(m, self.reward_set)
         terminated = task.failure(m)
-        return Moment(
-            observation=_joined(task.observe(m)),
+        moment = Moment(
+            observation=_joined(parts),
             reward=weighted_sum(terms, task.weights[self.reward_set]),
             reward_terms=terms,
             success=task.success(m),
@@ -148,6 +161,51 @@ class Worlds(ABC):
             terminated=terminated,
             truncated=over & ~terminated,
         )
+        fine = np.isfinite(moment.reward) & np.isfinite(moment.observation).all(axis=1)
+        if not fine.all():
+            self._note(
+                not_finite("observation", parts, self.num_worlds)
+                + not_finite("reward term", terms, self.num_worlds)
+            )
+            moment = self._without(moment, fine)
+        self._seen = moment.observation
+        return moment
+
+    def _without(self, moment: Moment, fine: Array) -> Moment:
+        """The moment with the lost worlds as last seen, their episodes cut off."""
+        kept = {"stages": moment.stages, "reward_terms": moment.reward_terms}
+        return Moment(
+            observation=np.where(fine[:, None], moment.observation, self._seen),
+            reward=np.where(fine, moment.reward, 0.0),
+            success=moment.success & fine,
+            terminated=moment.terminated & fine,
+            truncated=moment.truncated | ~fine,
+            **{
+                kind: {
+                    name: np.where(fine, values, 0).astype(values.dtype)
+                    for name, values in named.items()
+                }
+                for kind, named in kept.items()
+            },
+        )
+
+    def _note(self, found: Sequence[tuple[str, Array]]) -> None:
+        """Report what is wrong, and in which worlds [N] bool."""
+        wrong = np.any([where for _, where in found], axis=0)
+        for world in map(int, np.flatnonzero(wrong)):
+            what = ", ".join(name for name, where in found if where[world])
+            clock = int(self.episode[world]), int(self.elapsed[world])
+            self._report(Fault(self.task.name, what, world, *clock))
+
+    def _report(self, fault: Fault) -> None:
+        self.faults.append(fault)
+        kept = self._kept(fault)
+        if self.stop_at_faults:
+            raise UserError(f"{fault}{kept}")
+
+    def _kept(self, fault: Fault) -> str:
+        """How to see the fault again, if that was kept."""
+        return ""
 
 
 def _layout(parts: Mapping[str, Array]) -> dict[str, slice]:
@@ -159,4 +217,5 @@ def _layout(parts: Mapping[str, Array]) -> dict[str, slice]:
 
 
 def _joined(parts: Mapping[str, Array]) -> Array:
-    return np.concatenate(list(parts.values()), axis=1, dtype=np.float32)
+    with np.errstate(over="ignore"):
+        return np.concatenate(list(parts.values()), axis=1, dtype=np.float32)

@@ -13,6 +13,7 @@ PROGRAMS = {
     "render": "film a policy",
     "reproduce": "rerun shipped recipes and compare with their results",
     "results": "show what the shipped recipes reach",
+    "replay": "take a step again that went wrong",
     "list": "name tasks, robots, algorithms, recipes",
     "doctor": "check that this machine is fit",
     "benchmark": "measure speed",

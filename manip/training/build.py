@@ -26,7 +26,7 @@ EVAL_SEED = 1_000_000
 
 def training_env(config: TrainConfig) -> NativeEnv | OtherEnv:
     """The worlds that a run learns from."""
-    return _env(
+    env = _env(
         config,
         config.num_worlds,
         fidelity=config.fidelity,
@@ -37,6 +37,8 @@ def training_env(config: TrainConfig) -> NativeEnv | OtherEnv:
         stagger=True,
         own_starts=config.own_starts,
     )
+    env.worlds.stop_at_faults = config.faults == "stop"
+    return env
 
 
 def evaluation_env(config: TrainConfig) -> NativeEnv | OtherEnv:

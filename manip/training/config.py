@@ -30,7 +30,7 @@ AT_LEAST_ONE = (
 
 MAY_CHANGE = {
     *("out", "resume", "steps", "threads", "wandb"),
-    *("eval_every", "eval_episodes", "checkpoint_every"),
+    *("eval_every", "eval_episodes", "checkpoint_every", "faults"),
 }
 """Options that a run may go on with changed: the others made it what it is."""
 
@@ -77,6 +77,8 @@ class TrainConfig:
     """Control steps between evaluations."""
     eval_episodes: int = 32
     """Episodes an evaluation."""
+    faults: Literal["survive", "stop"] = "survive"
+    """Numbers that go wrong cost an episode or an update (survive), or end the run."""
     checkpoint_every: float = 60.0
     """Seconds between checkpoints (one is written at every evaluation, too)."""
     wandb: str | None = None

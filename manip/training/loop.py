@@ -24,6 +24,7 @@ from manip.training.build import (
 )
 from manip.training.checkpoint import Checkpoints, restore, state_of
 from manip.training.config import TrainConfig, check_lasting, lasting, to_dict
+from manip.training.guard import Guard
 from manip.training.leaving import Interruptible, locked
 from manip.training.logs import Row, RunLog
 from manip.training.progress import TrainingProgress
@@ -32,6 +33,9 @@ from manip.versions import versions
 
 RECENT = 100
 """Finished training episodes that the progress line averages over."""
+
+MOST_TOLD = 20
+"""Faults that a run tells of, one by one; metrics.csv counts them all."""
 
 SAVING_SHARE = 0.05
 """Checkpoints on the way may take this part of a run's time."""
@@ -54,6 +58,7 @@ class Trainer:
         self.env = training_env(config)
         self.judge = evaluation_env(config)
         self.agent = build_agent(config, self.env)
+        self._guard = Guard(self.agent.optimisers(), config.faults == "stop")
         self._collector = Collector(self.env, self.agent, overlaps(config))
         self._recent: deque[Episode] = deque(maxlen=RECENT)
         self._learned: dict[str, float] = {}
@@ -61,6 +66,7 @@ class Trainer:
         self.seconds = 0.0
         self._best = (-1.0, -np.inf)
         self._saving = _Saving(config.checkpoint_every)
+        self._told = 0
         self.stopping = False
 
     def run(self) -> bool:
@@ -90,6 +96,7 @@ class Trainer:
         while self.env_steps < self.config.steps and not self.stopping:
             due = self._next_evaluation()
             self._advance()
+            self._tell_faults(progress)
             self.seconds = time.monotonic() - began
             progress.update(self.env_steps, self._training_averages())
             if self.env_steps >= due:
@@ -106,7 +113,7 @@ class Trainer:
         self.env_steps += found.batch.numel()
         self._recent.extend(found.episodes)
         self._set_learning_rates()
-        self._learned |= self.agent.update(found.batch)
+        self._learned |= self._guard.finite(self.agent.update(found.batch))
 
     def _set_learning_rates(self) -> None:
         left = max(0.0, 1 - self.env_steps / self.config.steps)
@@ -115,6 +122,15 @@ class Trainer:
         for optimiser in self.agent.optimisers().values():
             for group in optimiser.param_groups:
                 group["lr"] = share * group.setdefault("initial_lr", group["lr"])
+
+    def _tell_faults(self, progress: TrainingProgress) -> None:
+        """Say what went wrong since the last call, as long as that is news."""
+        faults, lost = self.env.worlds.faults, self._guard.lost
+        notes = [f"{faults.popleft()}: its episode is lost" for _ in range(len(faults))]
+        notes += [f"{lost.popleft()}: the update is lost" for _ in range(len(lost))]
+        for note in notes[: MOST_TOLD - self._told]:
+            progress.say(note)
+            self._told += 1
 
     def _next_evaluation(self) -> int:
         every = self.config.eval_every

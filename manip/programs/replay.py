@@ -1,0 +1,91 @@
+"""`manip replay`: take the step again in which a world's numbers went wrong."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from manip.envs.faults import Fault
+from manip.envs.native import DUMP_FORMAT, NativeWorlds
+from manip.envs.registry import load_task
+from manip.errors import UserError, one_line
+from manip.programs import cli
+from manip.sim.engine import Snapshot
+from manip.trees import load_tree
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Take the step again in which a world's numbers went wrong.
+
+    Runs keep such steps in their folder `dumps`. Shown are the world before the step,
+    its action, and whether the same goes wrong again.
+    """
+
+    dump: Annotated[Path, tyro.conf.Positional]
+    """File from a run's folder `dumps`."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Replay the step; 0 if all was well this time, 1 if it went wrong again."""
+    options = cli.parse(Replay, arguments, "manip replay")
+    dump = load_tree(options.dump)
+    if not isinstance(dump, dict) or dump.get("format") != DUMP_FORMAT:
+        raise UserError(f"{options.dump} is not a step that a run kept")
+    try:
+        recorded = Fault(**dump["fault"])
+        worlds = _world(dump)
+        before = _motion(worlds)
+        worlds.step(dump["action"][None])
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise UserError(
+            f"{options.dump} does not fit this version: {one_line(error)}"
+        ) from error
+    console = Console(soft_wrap=True)
+    console.print(f"then: {recorded}", highlight=False)
+    console.print(_table(before, _motion(worlds)))
+    console.print(f"action: {np.array2string(dump['action'], precision=3)}")
+    console.print(f"now: {'; '.join(map(str, worlds.faults)) or 'all is well'}")
+    return 1 if worlds.faults else 0
+
+
+def _world(dump: dict[str, Any]) -> NativeWorlds:
+    """The one world, as it was before the step."""
+    task = load_task(dump["task"])
+    worlds = NativeWorlds(task, 1, **dump["rig"], reward=dump["reward"], threads=1)
+    worlds.begin(np.zeros(1, int))
+    worlds.engine.restore(Snapshot(dump["state"][None], dump["readings"][None]))
+    return worlds
+
+
+def _motion(worlds: NativeWorlds) -> dict[str, tuple[float, float]]:
+    """Joint -> its first coordinate and the largest of its velocities."""
+    model, state = worlds.scene.physics, worlds.engine.states[0]
+    joints = [model.joint(i) for i in range(model.njnt)]
+    return {
+        joint.name: (
+            float(state[joint.qposadr[0]]),
+            float(
+                np.abs(state[model.nq :][joint.dofadr[0] :][: _freedoms(joint)]).max()
+            ),
+        )
+        for joint in joints
+    }
+
+
+def _freedoms(joint: Any) -> int:
+    return {0: 6, 1: 3}.get(int(joint.type[0]), 1)
+
+
+def _table(
+    before: dict[str, tuple[float, float]], after: dict[str, tuple[float, float]]
+) -> Table:
+    shown = Table("joint", "position", "speed", "position after", "speed after")
+    for name in before:
+        shown.add_row(name, *(f"{value:.4g}" for value in before[name] + after[name]))
+    return shown
