@@ -22,6 +22,7 @@ from manip.rewards.kernels import near, ramp
 from manip.sim.handles import Sensors
 from manip.sim.model import Scene
 from tasks.arm import observe_arm, start_qpos, yaw_quaternion
+from tasks.scripts.door import door
 
 Array = np.ndarray
 
@@ -122,6 +123,10 @@ class Door(Task):
     def success(self, m: Measures) -> Array:
         """The hinge is turned by more than 0.3 rad."""
         return m["hinge"] > OPEN
+
+    def script(self, m: Measures) -> Array:
+        """As `tasks.scripts.door`."""
+        return door(m)
 
     def reached(self, m: Measures) -> dict[str, Array]:
         """near: tool within 10 cm of the handle; turned, ajar, open: see above."""

@@ -22,6 +22,7 @@ from manip.sim.handles import Sensors
 from manip.sim.model import Scene
 from tasks.arm import start_qpos, yaw_quaternion
 from tasks.cube import CUBE, PADS, TABLE, closing, measure_cube, observe_cube
+from tasks.scripts.cube import take_cube
 
 Array = np.ndarray
 
@@ -86,6 +87,11 @@ class Lift(Task):
     def success(self, m: Measures) -> Array:
         """The cube's centre is more than 4 cm above the table."""
         return m["height"] > LIFTED
+
+    def script(self, m: Measures) -> Array:
+        """Grasp the cube, and up."""
+        up = np.array([0.0, 0.0, 0.1])
+        return take_cube(m, then=np.tile(up, (len(m["to_cube"]), 1)))
 
     def reached(self, m: Measures) -> dict[str, Array]:
         """near: tool within 3 cm of the cube; grasp: both pads touch; lift."""

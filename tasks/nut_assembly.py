@@ -34,6 +34,7 @@ from manip.sim.handles import Sensors
 from manip.sim.model import Scene
 from tasks.arm import observe_arm, ready, start_qpos, yaw_quaternion
 from tasks.objects import PARKED, rotation, turns, yaw
+from tasks.scripts.nut_assembly import nut_assembly
 
 Array = np.ndarray
 
@@ -196,6 +197,10 @@ class NutAssembly(Task):
         beside = (np.abs(m["to_peg"][:, :2]) < BESIDE).all(axis=1)
         clear = np.linalg.norm(m["nut_pos"] - m["eef_pos"], axis=1) > CLEAR
         return beside & (m["height"] < LOW) & clear
+
+    def script(self, m: Measures) -> Array:
+        """As `tasks.scripts.nut_assembly`."""
+        return nut_assembly(m)
 
     def reached(self, m: Measures) -> dict[str, Array]:
         """near: tool within 5 cm of the handle; lift: by 3 cm; over: within 3 cm."""

@@ -27,6 +27,7 @@ from tasks.cube import CUBE, PADS, closing, measure_cube, observe_cube, start_cu
 from tasks.objects import rotation, turns, yaw
 from tasks.scenes.cube import HALF, SPREAD
 from tasks.scenes.pick_goal import GOAL_HIGH, GOAL_LOW, REACHED
+from tasks.scripts.cube import take_cube
 
 Array = np.ndarray
 
@@ -102,6 +103,10 @@ class PickGoal(Task):
     def success(self, m: Measures) -> Array:
         """The cube's centre is within 2.5 cm of the goal."""
         return m["gap"] < REACHED
+
+    def script(self, m: Measures) -> Array:
+        """Grasp the cube, and straight to the goal."""
+        return take_cube(m, then=m["to_goal"])
 
     def reached(self, m: Measures) -> dict[str, Array]:
         """near: tool within 3 cm of the cube; lift: held, 3 cm above its rest."""

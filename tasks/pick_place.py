@@ -31,6 +31,7 @@ from manip.sim.handles import Sensors
 from manip.sim.model import Scene
 from tasks.arm import observe_arm, ready, start_qpos
 from tasks.objects import PARKED, poses, rotation, scatter, turns, yaw
+from tasks.scripts.pick_place import pick_place
 
 Array = np.ndarray
 
@@ -245,6 +246,10 @@ class PickPlace(Task):
     def success(self, m: Measures) -> Array:
         """The object is in its quarter of the bin, and the tool away from it."""
         return m["inside"] & (m["distance"] > AWAY)
+
+    def script(self, m: Measures) -> Array:
+        """As `tasks.scripts.pick_place`."""
+        return pick_place(m, BIN, ITEMS[self.item].folds)
 
     def reached(self, m: Measures) -> dict[str, Array]:
         """near: tool within 3 cm of the grip; lift: by 10 cm; across: the bins' gap."""

@@ -29,6 +29,7 @@ from tasks.cube import CUBE, PADS, TABLE, measure_cube, observe_cube, start_cube
 from tasks.objects import rotation, scatter, turns, yaw
 from tasks.scenes.cube import HALF, SPREAD
 from tasks.scenes.push import APART, DOWN, GOAL_HIGH, REACHED
+from tasks.scripts.cube import take_cube
 
 Array = np.ndarray
 
@@ -101,6 +102,10 @@ class Push(Task):
     def success(self, m: Measures) -> Array:
         """The cube is on the table, within 3 cm of the goal."""
         return m["down"] & (m["gap"] < REACHED)
+
+    def script(self, m: Measures) -> Array:
+        """Grasp the cube, and drag it over the table to the goal."""
+        return take_cube(m, then=np.column_stack([m["to_goal"], HALF - m["height"]]))
 
     def reached(self, m: Measures) -> dict[str, Array]:
         """near: tool within 5 cm of the cube; close: cube within 6 cm of the goal."""

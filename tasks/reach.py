@@ -19,6 +19,7 @@ from manip.sim.handles import Sensors
 from manip.sim.model import Scene
 from tasks.arm import observe_arm, start_qpos
 from tasks.scenes.reach import GOAL_HIGH, GOAL_LOW, REACHED
+from tasks.scripts.motion import towards
 
 Array = np.ndarray
 
@@ -72,6 +73,10 @@ class Reach(Task):
     def success(self, m: Measures) -> Array:
         """The tool is within 2 cm of the goal."""
         return m["distance"] < REACHED
+
+    def script(self, m: Measures) -> Array:
+        """Straight to the goal."""
+        return towards(m["to_goal"], np.ones(len(m["to_goal"])))
 
     def reached(self, m: Measures) -> dict[str, Array]:
         """near: within 10 cm; reach: within 2 cm."""

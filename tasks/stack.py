@@ -31,6 +31,7 @@ from manip.sim.handles import Sensors
 from manip.sim.model import Scene
 from tasks.arm import observe_arm, start_qpos
 from tasks.objects import poses, rotation, scatter, turns, yaw
+from tasks.scripts.stack import stack
 
 Array = np.ndarray
 
@@ -174,6 +175,10 @@ class Stack(Task):
     def success(self, m: Measures) -> Array:
         """A is on or against B, off the table, and not between the finger pads."""
         return (m["cubes_touch"] > 0) & (m["height"] > LIFTED) & ~m["grasped"]
+
+    def script(self, m: Measures) -> Array:
+        """As `tasks.scripts.stack`."""
+        return stack(m, STACKED)
 
     def reached(self, m: Measures) -> dict[str, Array]:
         """near: tool within 3 cm of A; lift: by 3 cm; aligned: 3 cm beside B; on."""

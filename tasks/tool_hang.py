@@ -32,6 +32,7 @@ from manip.sim.model import Scene
 from tasks.arm import observe_arm, start_qpos, yaw_quaternion
 from tasks.hanging import GRIP, HOOK, MOUTH, assembled, place, threaded
 from tasks.objects import rotation
+from tasks.scripts.tool_hang import tool_hang
 
 Array = np.ndarray
 
@@ -174,6 +175,10 @@ class ToolHang(Task):
     def success(self, m: Measures) -> Array:
         """The frame stands, and the wrench hangs on it by itself."""
         return m["assembled"] & m["hung"]
+
+    def script(self, m: Measures) -> Array:
+        """As `tasks.scripts.tool_hang`."""
+        return tool_hang(m)
 
     def reached(self, m: Measures) -> dict[str, Array]:
         """near: within 5 cm; upright: to 15 degrees; carry: hole 3 cm from the hook."""

@@ -25,6 +25,7 @@ from manip.sim.model import Scene
 from tasks.arm import observe_arm, start_qpos
 from tasks.dirt import MARKERS, below, left, walk
 from tasks.objects import turns, yaw
+from tasks.scripts.wipe import wipe
 
 Array = np.ndarray
 
@@ -172,6 +173,10 @@ class Wipe(Task):
     def failure(self, m: Measures) -> Array:
         """A link touches something, or a joint is near its limit."""
         return m["unsafe"]
+
+    def script(self, m: Measures) -> Array:
+        """As `tasks.scripts.wipe`."""
+        return wipe(m)
 
     def reached(self, m: Measures) -> dict[str, Array]:
         """near: within 5 cm of a marker; touch; a tenth, half and all are wiped."""

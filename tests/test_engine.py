@@ -7,7 +7,6 @@ import sys
 import mujoco
 import numpy as np
 import pytest
-from scripted import SCRIPTS
 
 from manip.envs.streams import EpisodeStreams
 from manip.envs.task import Task
@@ -45,7 +44,7 @@ def run(engine: BatchEngine, actions: Array) -> None:
 def close_in(task: Task, engine: BatchEngine, steps: int) -> None:
     """Let the script bring every world into contact."""
     for _ in range(steps):
-        engine.step(SCRIPTS[task.name](task.measure(engine.read())))
+        engine.step(task.script(task.measure(engine.read())))
 
 
 def assert_same(a: BatchEngine, b: BatchEngine, worlds=slice(None)) -> None:

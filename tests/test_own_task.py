@@ -55,23 +55,13 @@ def test_the_page_shows_the_file() -> None:
     assert (FOLDER / "pyproject.toml").read_text() in PAGE.read_text()
 
 
-def pushing(m: Any) -> np.ndarray:
-    """Over the button, then down on it with closed fingers."""
-    action = np.zeros((len(m["distance"]), 7))
-    action[:, :3] = np.clip(20 * m["to_button"], -1, 1)
-    aside = np.linalg.norm(m["to_button"][:, :2], axis=1) > 0.02
-    action[:, 2] = np.where(aside, action[:, 2] + 0.5, -1.0)
-    action[:, 6] = 1.0
-    return action
-
-
 def test_the_engine_does_what_stock_does(press: Task, scene: Scene) -> None:
     theirs = StockWorlds(press, stock=scene.stock)
     ours = NativeWorlds(press, 2, scene=scene, threads=1)
     theirs.begin(np.arange(1))
     copy_start(press, ours.engine, range(2))
     for _ in range(25):
-        action = pushing(press.measure(theirs.read())).astype(np.float32)
+        action = press.script(press.measure(theirs.read())).astype(np.float32)
         moment, expected = ours.step(action.repeat(2, 0)), theirs.step(action)
         np.testing.assert_allclose(
             moment.observation[:1], expected.observation, 0, 1e-4
@@ -84,7 +74,7 @@ def test_the_engine_does_what_stock_does(press: Task, scene: Scene) -> None:
 def test_every_episode_can_be_solved(press: Task, scene: Scene) -> None:
     worlds = NativeWorlds(press, 8, scene=scene)
     worlds.begin(np.arange(8))
-    found = [worlds.step(pushing(press.measure(worlds.read()))) for _ in range(40)]
+    found = [worlds.step(worlds.script()) for _ in range(40)]
     assert not found[0].success.any()
     assert np.all([moment.success for moment in found[-10:]])
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from scripted import SCRIPTS, TASKS
+from scripted import TASKS
 from twin import RESYNCED, copy_state, reading, remember, start_twin
 
 from manip.envs.registry import load_task
@@ -100,7 +100,7 @@ def random_actions(scene: Scene, seed: int) -> Act:
 
 
 def scripted_actions(task: Task) -> Act:
-    return lambda read, step: SCRIPTS[task.name](task.measure(read))
+    return lambda read, step: task.script(task.measure(read))
 
 
 Trace = list[Moment]

@@ -120,3 +120,12 @@ class Press(Task):
     def reached(self, m: Measures) -> dict[str, Array]:
         """near: tool within 8 cm of the button; press: success."""
         return {"near": m["distance"] < 0.08, "press": self.success(m)}
+
+    def script(self, m: Measures) -> Array:
+        """Over the button, then down on it with closed fingers."""
+        action = np.zeros((len(m["distance"]), 7))
+        action[:, :3] = np.clip(20 * m["to_button"], -1, 1)
+        aside = np.linalg.norm(m["to_button"][:, :2], axis=1) > 0.02
+        action[:, 2] = np.where(aside, np.minimum(action[:, 2] + 0.5, 1), -1.0)
+        action[:, 6] = 1.0
+        return action

@@ -11,6 +11,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from manip.envs.streams import EpisodeStreams
+from manip.errors import UserError
 from manip.sim.handles import Sensors
 from manip.sim.model import Scene
 
@@ -82,6 +83,16 @@ class Task(ABC):
     def failure(self, m: Measures) -> Array:
         """[N] bool: the episode ends here, without a future (default: never)."""
         return np.zeros(len(m["joint_pos"]), bool)
+
+    def script(self, m: Measures) -> Array:
+        """[N, A] in [-1, 1]: what solves the task, by OSC_POSE (default: nothing does).
+
+        Worth writing: it proves that the task can be solved, and `--algo bc` clones it.
+        """
+        raise UserError(
+            f"task {self.name!r} has no script to imitate: give it a method script(m), "
+            "or choose another algorithm"
+        )
 
     @property
     def name(self) -> str:

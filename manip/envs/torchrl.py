@@ -4,7 +4,7 @@ Keys, with N worlds: `observation` [N, D] float32 (see `Worlds.layout`), `action
 in [-1, 1], `reward` [N, 1], `terminated` (the task failed, no future), `truncated`
 (time is up: bootstrap through it), `done` (either), `success` [N, 1] bool,
 `reward_terms` [N, K] float32 (names: worlds.reward_names), `stages` [N, M] bool (names:
-task.stages).
+task.stages), and if asked for `script` [N, A], what the task's script would do.
 """
 
 from collections.abc import Iterable
@@ -30,9 +30,10 @@ class TaskEnv(EnvBase):
 
     batch_locked = True
 
-    def __init__(self, worlds: Worlds) -> None:
+    def __init__(self, worlds: Worlds, script: bool = False) -> None:
         super().__init__(batch_size=[worlds.num_worlds], device=None)
         self.worlds = worlds
+        self._script = script
         shape = self.batch_size
         width = max(part.stop for part in worlds.layout.values())
         stages, terms = len(worlds.task.stages), len(worlds.reward_names)
@@ -46,6 +47,8 @@ class TaskEnv(EnvBase):
             reward_terms=Unbounded((*shape, terms)),
             shape=shape,
         )
+        if script:
+            self.observation_spec["script"] = self.action_spec.clone()
         ends = ("done", "terminated", "truncated")
         self.full_done_spec = Composite(
             {end: flag.clone() for end in ends}, shape=shape
@@ -80,6 +83,9 @@ class TaskEnv(EnvBase):
             "truncated": torch.from_numpy(moment.truncated[:, None]),
             "done": torch.from_numpy(moment.done[:, None]),
         }
+        if self._script:
+            wanted = self.worlds.script().astype(np.float32)
+            found["script"] = torch.from_numpy(wanted)
         return TensorDict(found, self.batch_size)
 
     def _set_seed(self, seed: int | None) -> None:
@@ -92,13 +98,16 @@ class NativeEnv(TaskEnv):
     Args:
         task: what is to be done.
         num_worlds: N.
+        script: whether to say what the task's script would do.
         options: as in `manip.envs.native.NativeWorlds`.
     """
 
     worlds: NativeWorlds
 
-    def __init__(self, task: Task, num_worlds: int, **options: Any) -> None:
-        super().__init__(NativeWorlds(task, num_worlds, **options))
+    def __init__(
+        self, task: Task, num_worlds: int, script: bool = False, **options: Any
+    ) -> None:
+        super().__init__(NativeWorlds(task, num_worlds, **options), script)
 
 
 class OtherEnv(TaskEnv):

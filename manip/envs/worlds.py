@@ -140,6 +140,14 @@ class Worlds(ABC):
         never = np.zeros(self.num_worlds, bool)
         return self._moment(never)._replace(terminated=never, truncated=never)
 
+    def script(self) -> Array:
+        """[N, A]: what the task's script would do now.
+
+        Raises:
+            UserError: the task has none.
+        """
+        return self.task.script(self.task.measure(self.read()))
+
     def _remember(self, worlds: Array) -> None:
         if self.task.sensors.memory:
             memory = self.task.remember(self.task.measure(self.read()))

@@ -1,4 +1,4 @@
-"""A scripted policy for ToolHang; see `scripted`."""
+"""How ToolHang is solved."""
 
 from typing import NamedTuple
 
@@ -6,12 +6,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from manip.envs.task import Measures
+from tasks.scripts.motion import GAIN, SPIN, UP
 
 Array = np.ndarray
 
-GAIN, SPIN = 20.0, 4.0
-"""As in `scripted`: action for a metre and for a radian."""
-UP = np.array([0.0, 0.0, 1.0])
 AHEAD = np.array([1.0, 0.0, 0.0])
 """Where the bar of the standing frame points: there the arm reaches all places."""
 TILT = 1.0
