@@ -41,16 +41,23 @@ from manip.training.loop import Trainer
 from manip.trees import load_tree, save_tree
 
 AGENTS = {
-    "ppo": {"rollout_length": 16, "minibatches": 2, "epochs": 2},
+    "bc": {"rollout_length": 8, "batch_size": 32, "buffer_size": 160},
+    "ppo": {
+        "critic_hidden": [16],
+        "rollout_length": 16,
+        "minibatches": 2,
+        "epochs": 2,
+    },
     # The buffer is filled three times over; not every round updates the actor.
     "sac": {
+        "critic_hidden": [16],
         "random_steps": 128,
         "buffer_size": 160,
         "batch_size": 32,
         "actor_delay": 20,
     },
 }
-ROLLOUT = {"ppo": 4 * 16, "sac": 4 * 8}
+ROLLOUT = {"bc": 4 * 8, "ppo": 4 * 16, "sac": 4 * 8}
 """Control steps between two updates."""
 TIMES = ("seconds", "steps_per_second")
 """Columns that depend on the clock."""
@@ -59,7 +66,7 @@ by_algorithm = pytest.mark.parametrize("algo", sorted(AGENTS))
 
 
 def tiny(algo: str, out: Path, **changes: Any) -> TrainConfig:
-    agent = {"actor_hidden": [16], "critic_hidden": [16]} | AGENTS[algo]
+    agent = {"actor_hidden": [16]} | AGENTS[algo]
     options = {
         "task": "Reach",
         "algo": algo,
@@ -273,7 +280,7 @@ def test_another_seed_gives_another_run(finished, tmp_path) -> None:
 @pytest.mark.parametrize(
     ("algo", "stops"),
     # Before, at and after an evaluation; before and after SAC begins to learn.
-    [("ppo", (1, 2)), ("ppo", (4,)), ("sac", (2, 1)), ("sac", (11,))],
+    [("bc", (3,)), ("ppo", (1, 2)), ("ppo", (4,)), ("sac", (2, 1)), ("sac", (11,))],
 )
 def test_an_interrupted_run_goes_on_bit_for_bit(
     algo: str, stops: tuple[int, ...], finished, tmp_path: Path
@@ -541,7 +548,7 @@ def test_every_recipe_loads_for_the_task_and_algorithm_it_is_named_after() -> No
 
 @pytest.mark.parametrize("algo", sorted(ALGORITHMS))
 def test_options_survive_yaml(algo: str, tmp_path: Path) -> None:
-    config = tiny(algo, tmp_path / "run", seed=3, agent={"action_scale": [0.5] * 7})
+    config = tiny(algo, tmp_path / "run", seed=3, agent={"actor_hidden": [8, 8]})
     assert from_dict(yaml.safe_load(yaml.safe_dump(to_dict(config)))) == config
 
 

@@ -27,11 +27,13 @@ class Agent(ABC):
         actor: the network that is deployed.
         rollout_length: control steps T of every world between two updates.
         off_policy: learns from what older policies collected, too.
+        imitates: asks the worlds what the task's script would do (`script` [N, A]).
     """
 
     actor: Actor
     rollout_length: int
     off_policy: bool = False
+    imitates: bool = False
 
     @abstractmethod
     def policy(self) -> TensorDictModuleBase:

@@ -116,13 +116,16 @@ class OtherEnv(TaskEnv):
     Args:
         task: what is to be done.
         num_worlds: N.
+        script: as in `NativeEnv`.
         options: as in `manip.envs.others.OtherWorlds`.
     """
 
     worlds: OtherWorlds
 
-    def __init__(self, task: OtherTask, num_worlds: int, **options: Any) -> None:
-        super().__init__(OtherWorlds(task, num_worlds, **options))
+    def __init__(
+        self, task: OtherTask, num_worlds: int, script: bool = False, **options: Any
+    ) -> None:
+        super().__init__(OtherWorlds(task, num_worlds, **options), script)
 
 
 class StockEnv(TaskEnv):

@@ -6,6 +6,7 @@ from typing import Any
 import torch
 
 from manip.agents.agent import Agent, Spaces
+from manip.agents.bc import BC, BCConfig
 from manip.agents.networks import RunningNorm
 from manip.agents.policy import Policy, PolicyCard
 from manip.agents.ppo import PPO, PPOConfig
@@ -14,10 +15,11 @@ from manip.cpus import usable_cpus
 from manip.envs.others import OtherTask
 from manip.envs.registry import load_task
 from manip.envs.torchrl import NativeEnv, OtherEnv, TaskEnv
+from manip.errors import UserError
 from manip.training.config import TrainConfig
 from manip.versions import versions
 
-AGENTS: dict[type, Any] = {SACConfig: SAC, PPOConfig: PPO}
+AGENTS: dict[type, Any] = {SACConfig: SAC, PPOConfig: PPO, BCConfig: BC}
 """Options of an algorithm -> its agent."""
 
 EVAL_SEED = 1_000_000
@@ -25,10 +27,21 @@ EVAL_SEED = 1_000_000
 
 
 def training_env(config: TrainConfig) -> NativeEnv | OtherEnv:
-    """The worlds that a run learns from."""
+    """The worlds that a run learns from.
+
+    Raises:
+        UserError: a script is to be imitated in another action space than its own.
+    """
+    imitates = bool(AGENTS[type(config.agent)].imitates)
+    if imitates and config.controller != "OSC_POSE":
+        raise UserError(
+            f"scripts give OSC_POSE actions, not {config.controller}: choose another "
+            f"algorithm than {config.algo}"
+        )
     env = _env(
         config,
         config.num_worlds,
+        script=imitates,
         fidelity=config.fidelity,
         threads=share_threads(config)[0],
         horizon=config.horizon,
@@ -66,7 +79,7 @@ def build_agent(config: TrainConfig, env: TaskEnv) -> Agent:
         env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]
     )
     options = config.agent
-    if config.controller != "OSC_POSE":
+    if config.controller != "OSC_POSE" and not isinstance(options, BCConfig):
         options = replace(options, action_scale=())
     agent: Agent = AGENTS[type(options)](options, spaces, share_threads(config)[1])
     return agent

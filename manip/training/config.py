@@ -8,14 +8,19 @@ from typing import Any, Literal, get_type_hints
 
 import yaml
 
+from manip.agents.bc import BCConfig
 from manip.agents.ppo import PPOConfig
 from manip.agents.sac import SACConfig
 from manip.envs.registry import task_names
 from manip.errors import UserError, at_least, unknown
 from manip.sim.model import Fidelity
 
-AgentConfig = SACConfig | PPOConfig
-ALGORITHMS: dict[str, type[AgentConfig]] = {"sac": SACConfig, "ppo": PPOConfig}
+AgentConfig = SACConfig | PPOConfig | BCConfig
+ALGORITHMS: dict[str, type[AgentConfig]] = {
+    "sac": SACConfig,
+    "ppo": PPOConfig,
+    "bc": BCConfig,
+}
 """Algorithm name -> its options."""
 
 Controller = Literal["OSC_POSE", "OSC_POSITION", "JOINT_POSITION", "JOINT_VELOCITY"]
@@ -23,7 +28,7 @@ Controller = Literal["OSC_POSE", "OSC_POSITION", "JOINT_POSITION", "JOINT_VELOCI
 AT_LEAST_ONE = (
     *("steps", "num_worlds", "horizon", "eval_every", "eval_episodes"),
     *("n_step", "batch_size", "buffer_size", "actor_delay"),
-    *("rollout_length", "epochs", "minibatches"),
+    *("rollout_length", "epochs", "minibatches", "noise_steps"),
 )
 """Options that count something, of the run and of its algorithm."""
 
@@ -42,7 +47,7 @@ class TrainConfig:
     task: str = "Lift"
     """Task to learn (see `manip list`), or package.module:Task."""
     algo: str = "sac"
-    """Algorithm: sac or ppo."""
+    """Algorithm: sac, ppo, or bc (clones the task's script)."""
     robot: str = "Panda"
     """Arm (see `manip list`)."""
     controller: Controller = "OSC_POSE"

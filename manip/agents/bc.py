@@ -1,0 +1,172 @@
+"""Behaviour cloning of a task's script (Pomerleau 1989), on TorchRL's BCLoss.
+
+    actor: min |pi(s) - a*(s)|,  s ~ episodes of the script, disturbed
+
+a* is what the script would do in s. Noise in what it does instead takes it to states
+from which it shows the way back, as in DART (Laskey et al. 2017, arXiv 1703.09327):
+without, the clone would know none once it has strayed. The noise grows from world to
+world, from none in the first one on.
+"""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from torch import Tensor, nn
+from torch.optim import Adam
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.objectives import BCLoss
+
+from manip.agents.agent import Agent, Spaces
+from manip.agents.networks import Actor, seeded
+
+# It has no targets, and does not say so.
+warnings.filterwarnings("ignore", "The name target_actor_network_params")
+
+KEYS = ("observation", "script")
+"""What is kept of a step."""
+
+
+@dataclass(frozen=True)
+class BCConfig:
+    """Options of behaviour cloning; `steps` of the run are those of the script."""
+
+    noise: float = 0.3
+    """Standard deviation of the actions' noise in the last world."""
+    noise_steps: int = 10
+    """Control steps for which noise lasts, on average, before it is drawn anew."""
+    rollout_length: int = 32
+    """Control steps of every world between two rounds of updates."""
+    updates_per_step: float = 0.5
+    """Updates for each control step of each world."""
+    batch_size: int = 256
+    """Steps an update."""
+    learning_rate: float = 5e-4
+    """Adam's step size."""
+    actor_hidden: tuple[int, ...] = (256, 256)
+    """Widths of the actor's hidden layers."""
+    buffer_size: int = 400_000
+    """Steps that are kept."""
+
+
+class Disturbed(TensorDictModuleBase):
+    """Does what the script says, with noise that lasts for a while."""
+
+    in_keys = ["script"]
+    out_keys = ["action"]
+
+    def __init__(self, noise: float, noise_steps: int) -> None:
+        super().__init__()
+        self._noise, self._renewed = noise, 1 / noise_steps
+        self._generator = seeded()
+        self._offset: Tensor | None = None
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write `action` [N, A]."""
+        wanted = tensordict["script"]
+        level = torch.linspace(0, self._noise, len(wanted))[:, None]
+        action = wanted + level * self._offsets(wanted.shape)
+        return tensordict.set("action", action.clamp(-1, 1))
+
+    def _offsets(self, shape: torch.Size) -> Tensor:
+        drawn = torch.randn(shape, generator=self._generator)
+        if self._offset is not None:
+            chance = torch.rand((len(drawn), 1), generator=self._generator)
+            drawn = torch.where(chance < self._renewed, drawn, self._offset)
+        self._offset = drawn
+        return drawn
+
+
+class BC(Agent):
+    """Behaviour cloning; see the module's docstring."""
+
+    off_policy = True
+    imitates = True
+
+    def __init__(self, config: BCConfig, spaces: Spaces, threads: int = 1) -> None:
+        self.config = config
+        self.rollout_length = config.rollout_length
+        self.actor = Actor(
+            spaces.observation_dim,
+            spaces.action_dim,
+            config.actor_hidden,
+            squash=True,
+            normalise=False,
+        )
+        self._loss = _loss(self.actor)
+        self._optim = Adam(self.actor.parameters(), config.learning_rate, fused=True)
+        self._buffer = TensorDictReplayBuffer(
+            storage=LazyTensorStorage(config.buffer_size)
+        )
+        self._owed = 0.0
+
+    def policy(self) -> TensorDictModuleBase:
+        """The script, disturbed."""
+        return Disturbed(self.config.noise, self.config.noise_steps)
+
+    def update(self, batch: TensorDictBase) -> dict[str, float]:
+        """Store the rollout [N, T]; then as many updates as its steps call for."""
+        shown = batch.select(*KEYS).reshape(-1)
+        self._buffer.extend(shown)
+        self._owed += len(shown) * self.config.updates_per_step
+        count, self._owed = int(self._owed), self._owed % 1
+        losses = [self._learn(part) for part in self._sample(count)]
+        return {"loss_actor": sum(losses) / count} if losses else {}
+
+    def modules(self) -> dict[str, nn.Module]:
+        """The actor."""
+        return {"actor": self.actor}
+
+    def optimisers(self) -> dict[str, torch.optim.Optimizer]:
+        """One for the actor."""
+        return {"actor": self._optim}
+
+    def extra_state(self) -> dict[str, Any]:
+        """What the script has shown, oldest place first, and the updates owed."""
+        rows = self._buffer[:].select(*KEYS).to_dict() if len(self._buffer) else None
+        return {
+            "buffer": rows,
+            "cursor": self._buffer.writer._cursor,
+            "owed": self._owed,
+        }
+
+    def load_extra_state(self, state: dict[str, Any]) -> None:
+        """Refill the buffer in the same order."""
+        if state["buffer"] is not None:
+            size = state["buffer"]["script"].shape[:1]
+            self._buffer.extend(TensorDict(state["buffer"], size))
+        self._buffer.writer._cursor = state["cursor"]
+        self._owed = state["owed"]
+
+    def _sample(self, batches: int) -> Sequence[TensorDictBase]:
+        size = self.config.batch_size
+        return self._buffer.sample(batches * size).split(size) if batches else ()
+
+    def _learn(self, batch: TensorDictBase) -> float:
+        self._optim.zero_grad()
+        loss = self._loss(batch)["loss_bc"]
+        loss.backward()
+        self._optim.step()
+        return loss.item()
+
+
+class _Decision(nn.Module):
+    """An actor's deterministic action."""
+
+    def __init__(self, actor: Actor) -> None:
+        super().__init__()
+        self.actor = actor
+
+    def forward(self, observation: Tensor) -> Tensor:
+        return self.actor.decide(observation)
+
+
+def _loss(actor: Actor) -> BCLoss:
+    module = TensorDictModule(_Decision(actor), ["observation"], ["script"])
+    loss = BCLoss(module, loss_function="l1")
+    loss.set_keys(action="script")
+    return loss

@@ -1,0 +1,117 @@
+"""Behaviour cloning: the loss by hand, how the script is disturbed, and learning."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDict
+from tiny import Tiny
+from torch import Tensor
+from torchrl.envs import check_env_specs
+
+from manip.agents.agent import Spaces
+from manip.agents.bc import BC, BCConfig, Disturbed
+from manip.envs.task import Task
+from manip.envs.torchrl import NativeEnv
+from manip.errors import UserError
+from manip.sim.model import Scene
+from manip.training.build import training_env
+from manip.training.config import from_dict
+
+SPACES = Spaces(observation_dim=1, action_dim=2)
+QUICK = BCConfig(actor_hidden=(32,), batch_size=32, learning_rate=3e-3)
+
+
+def shown(rows: int, seed: int = 0) -> TensorDict:
+    """Steps [1, rows] of a script that grips while it moves towards x = 0."""
+    x = torch.rand(1, rows, 1, generator=torch.Generator().manual_seed(seed)) * 2 - 1
+    return TensorDict({"observation": x, "script": scripted(x)}, (1, rows))
+
+
+def scripted(x: Tensor) -> Tensor:
+    return torch.cat([(-3 * x).clamp(-1, 1), (x.abs() > 0.5) * 2.0 - 1], -1)
+
+
+def agent_of(config: BCConfig = QUICK) -> BC:
+    torch.manual_seed(0)
+    return BC(config, SPACES)
+
+
+def test_the_loss_is_the_distance_of_the_actions() -> None:
+    agent = agent_of(replace(QUICK, batch_size=256, updates_per_step=1 / 256))
+    batch = shown(256)
+    with torch.no_grad():
+        drawn = agent.actor.decide(batch["observation"]) - batch["script"]
+    found = agent.update(batch)["loss_actor"]
+    assert found == pytest.approx(drawn.abs().mean().item(), rel=0.1)  # with repeats
+
+
+def test_updates_follow_the_steps() -> None:
+    agent = agent_of(replace(QUICK, updates_per_step=0.125))
+    counts = [bool(agent.update(shown(6))) for _ in range(4)]
+    assert counts == [False, True, True, True]
+    assert agent.optimisers()["actor"].state_dict()["state"][0]["step"] == 3
+
+
+def test_it_learns_what_it_is_shown() -> None:
+    agent = agent_of()
+    for seed in range(8):
+        agent.update(shown(128, seed))
+    x = torch.linspace(-0.95, 0.95, 39)[:, None]
+    clear = ((x.abs() - 0.5).abs() > 0.1).squeeze(-1)
+    missed = (agent.actor.decide(x) - scripted(x)).abs()[clear]
+    assert missed.mean() < 0.05
+
+
+# The script, disturbed
+
+
+def disturbed(noise: float, lasting: int, steps: int) -> Tensor:
+    """[steps, 5, 1]: actions of five worlds in which the script rests."""
+    policy = Disturbed(noise, lasting)
+    rest = TensorDict({"script": torch.zeros(5, 1)}, 5)
+    return torch.stack([policy(rest.clone())["action"] for _ in range(steps)])
+
+
+def test_noise_grows_from_none_in_the_first_world() -> None:
+    spread = disturbed(0.2, 1, 4_000).std(0).flatten()
+    expected = torch.tensor([0.0, 0.05, 0.1, 0.15, 0.2])
+    torch.testing.assert_close(spread, expected, atol=0.01, rtol=0)
+
+
+def test_noise_lasts_as_long_as_it_should() -> None:
+    moves = disturbed(0.2, 10, 4_000)[:, 1:]
+    renewed = (moves.diff(dim=0) != 0).double().mean()
+    assert renewed.item() == pytest.approx(0.1, rel=0.1)
+
+
+def test_disturbed_actions_stay_in_range() -> None:
+    assert disturbed(5.0, 2, 200).abs().max() == 1.0
+
+
+# What the worlds say
+
+
+def test_worlds_say_what_the_script_would_do(lift: Task, lift_scene: Scene) -> None:
+    env = NativeEnv(lift, 3, script=True, scene=lift_scene, threads=1)
+    check_env_specs(env)
+    state = env.reset()
+    for _ in range(3):
+        measures = lift.measure(env.worlds.engine.read())
+        wanted = torch.from_numpy(lift.script(measures)).float()
+        assert torch.equal(state["script"], wanted)
+        state["action"] = state["script"]
+        _, state = env.step_and_maybe_reset(state)
+
+
+def test_a_task_without_a_script_says_so(scene_of) -> None:
+    env = NativeEnv(Tiny(), 2, script=True, scene=scene_of(Tiny()), threads=1)
+    with pytest.raises(UserError, match=r"'Tiny' has no script .* another algorithm"):
+        env.reset()
+
+
+def test_scripts_keep_to_their_action_space(tmp_path: Path) -> None:
+    options = {"algo": "bc", "controller": "JOINT_POSITION", "out": str(tmp_path)}
+    with pytest.raises(UserError, match="OSC_POSE actions, not JOINT_POSITION"):
+        training_env(from_dict(options))
