@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -283,6 +284,21 @@ def test_a_damaged_policy_is_told(manip: Manip, run: Path, tmp_path: Path) -> No
     (folder / "policy" / WEIGHTS).write_bytes(b"{}")
     for program in ("evaluate", "render"):
         assert "is damaged or not a manip file" in refusal(manip(program, str(folder)))
+
+
+def test_a_policy_of_another_observation_is_told(manip, run, tmp_path) -> None:
+    folder = tmp_path.parent / f"{tmp_path.name}-run"
+    shutil.copytree(run, folder)
+    policy = load_policy(folder)
+    first, second, *_ = policy.card.layout
+    parts = policy.card.layout[first], policy.card.layout[second]
+    swapped = policy.card.layout | dict(zip((second, first), parts, strict=True))
+    replace(policy, card=replace(policy.card, layout=swapped)).save(folder / "policy")
+    told = f"trained on another observation than Reach shows: {first}, {second} differ"
+    for program in ("evaluate --env native", "evaluate --env stock", "render"):
+        found = manip(*program.split(), str(folder), "--episodes", "1")
+        assert (found.code, found.out) == (2, "")
+        assert found.err.strip() == f"manip: error: the policy was {told}"
 
 
 def test_the_installed_command_refuses_as_programs_do(tmp_path: Path) -> None:

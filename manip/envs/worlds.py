@@ -116,6 +116,25 @@ class Worlds(ABC):
         self.seed = self.seed if seed is None else seed
         self.episode = np.full(self.num_worlds, -1, dtype=np.int64)
 
+    def check_layout(self, layout: Mapping[str, Sequence[int]]) -> None:
+        """Compare the observation with the one that a policy was trained on.
+
+        Args:
+            layout: part -> start and stop in the observation vector.
+
+        Raises:
+            UserError: the parts differ, in what they are, where, or how wide.
+        """
+        mine = {name: [part.start, part.stop] for name, part in self.layout.items()}
+        theirs = {name: list(part) for name, part in layout.items()}
+        if mine != theirs:
+            both = mine.keys() | theirs.keys()
+            parts = sorted(name for name in both if mine.get(name) != theirs.get(name))
+            raise UserError(
+                f"the policy was trained on another observation than {self.task.name} "
+                f"shows: {', '.join(parts)} differ"
+            )
+
     def begin(self, worlds: Array) -> None:
         """Start the next episode in some worlds [n] int."""
         self.episode[worlds] += 1

@@ -2,7 +2,7 @@
 
 import multiprocessing
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Literal
 
@@ -17,6 +17,9 @@ from manip.sim.model import Fidelity
 from manip.sim.stock import Rig
 
 Where = Literal["stock", "native"]
+Layout = Mapping[str, Sequence[int]]
+"""Observation part -> start and stop in the observation that a policy needs."""
+
 Progress = Callable[[int], None]
 """Called with the number of episodes that have just ended."""
 
@@ -28,8 +31,13 @@ def native_episodes(
     seed: int,
     rig: Rig,
     fidelity: Fidelity,
+    layout: Layout | None = None,
 ) -> list[Episode]:
-    """Run episodes on the batch engine, each in a world of its own."""
+    """Run episodes on the batch engine, each in a world of its own.
+
+    Raises:
+        UserError: the layout is given, and is not that of the task's observation.
+    """
     env = NativeEnv(
         load_task(task),
         episodes,
@@ -37,6 +45,8 @@ def native_episodes(
         fidelity=fidelity,
         seed=seed,
     )
+    if layout is not None:
+        env.worlds.check_layout(layout)
     return run_episodes(env, policy, episodes)
 
 
@@ -47,20 +57,27 @@ def stock_episodes(
     seed: int,
     rig: Rig,
     progress: Progress = lambda _: None,
+    layout: Layout | None = None,
 ) -> list[Episode]:
     """Run episodes in `robosuite.make(...)`, or in the library that the task is of.
 
     There is a process for each usable CPU.
     Episode e starts from seed + e, with a hard reset as robosuite's defaults have it,
     so that sizes which robosuite samples when it builds a model vary, too.
+
+    Raises:
+        UserError: the layout is given, and is not that of the task's observation.
     """
     seeds = range(seed, seed + episodes)
     workers = min(usable_cpus(), episodes)
     if workers == 1:
-        _open_worker(policy, task, rig)
+        _open_worker(policy, task, rig, layout)
         return list(_counted(map(_episode, seeds), progress))
     pool = ProcessPoolExecutor(
-        workers, multiprocessing.get_context("spawn"), _open_worker, (policy, task, rig)
+        workers,
+        multiprocessing.get_context("spawn"),
+        _open_worker,
+        (policy, task, rig, layout),
     )
     with pool:
         return list(_counted(pool.map(_episode, seeds), progress))
@@ -78,10 +95,10 @@ def _counted(episodes: Iterator[Episode], progress: Progress) -> Iterator[Episod
         yield episode
 
 
-_worker: dict[str, tuple[TaskEnv, Policy]] = {}
+_worker: dict[str, tuple[TaskEnv, Policy, Layout | None]] = {}
 
 
-def _open_worker(policy: Policy, task: str, rig: Rig) -> None:
+def _open_worker(policy: Policy, task: str, rig: Rig, layout: Layout | None) -> None:
     torch.set_num_threads(1)
     found, options = load_task(task), rig._asdict() | {"hard_reset": True}
     env = (
@@ -89,10 +106,12 @@ def _open_worker(policy: Policy, task: str, rig: Rig) -> None:
         if isinstance(found, OtherTask)
         else StockEnv(found, **options)
     )
-    _worker["now"] = (env, policy)
+    _worker["now"] = (env, policy, layout)
 
 
 def _episode(seed: int) -> Episode:
-    env, policy = _worker["now"]
+    env, policy, layout = _worker["now"]
+    if layout is not None:
+        env.worlds.check_layout(layout)
     env.set_seed(seed)
     return run_episodes(env, policy, 1)[0]

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -84,7 +85,8 @@ def _episodes(options: Evaluate, policy: Policy) -> Sequence[Episode]:
     rig = Rig(card.robot, card.controller, card.control_freq)
     asked = (card.task, policy, options.episodes, options.seed)
     if options.env == "native":
-        return native_episodes(*asked, rig, options.fidelity)
+        return native_episodes(*asked, rig, options.fidelity, card.layout)
     with Progress(console=Console(stderr=True), transient=True) as bar:
         running = bar.add_task(f"stock {library_of(card.task)}", total=options.episodes)
-        return stock_episodes(*asked, rig, lambda n: bar.advance(running, n))
+        tell = partial(bar.advance, running)
+        return stock_episodes(*asked, rig, tell, card.layout)

@@ -66,6 +66,7 @@ def film(options: Render) -> None:
         control_freq=card.control_freq,
         seed=options.seed,
     )
+    env.worlds.check_layout(card.layout)
     recorder = Recorder(env)
     run_episodes(env, policy, options.episodes, watch=recorder)
     frames = recorder.frames(options)
