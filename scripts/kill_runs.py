@@ -168,7 +168,7 @@ def _kill_after(run: Path, child: int, ahead: float, early: bool) -> None:
     """Kill a run when it has computed for so many seconds, or so early."""
     begun = 0.0 if early else _wait_for_lock(run, child)
     while not _ended(child) and cpu_seconds(child) < begun + ahead:
-        time.sleep(0.002)
+        time.sleep(0.01)
     os.kill(child, signal.SIGKILL)
 
 
@@ -178,7 +178,7 @@ def _wait_for_lock(run: Path, child: int) -> float:
     while not _ended(child):
         if lock.is_file() and f"process {child} " in lock.read_text():
             break
-        time.sleep(0.002)
+        time.sleep(0.01)
     return cpu_seconds(child)
 
 
