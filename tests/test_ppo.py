@@ -4,43 +4,25 @@ from dataclasses import replace
 
 import pytest
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor, nn
 from torch.distributions import Normal
 from torchrl.modules import ValueOperator
-from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives import PPOLoss
 from torchrl.objectives.value import GAE
-from toy import QUICK_PPO, Points, make_agent, mean_return, train
+from toy import QUICK_PPO, make_agent, mean_return, rollout_of, three_steps, train
 
 from manip.agents import checked
 from manip.agents.agent import Agent, Spaces
-from manip.agents.ppo import PPO, PPOConfig, add_values
+from manip.agents.ppo import PPO, PPOConfig
 from manip.agents.ppo_gradients import AutogradGradients, NativeGradients
-from manip.training.rollout import Rollout
+from manip.agents.returns import add_values
 
 
-def rollout_of(agent: Agent, length: int = 12) -> TensorDictBase:
-    """Worlds whose episodes end at different times, within the rollout."""
-    return Rollout(Points([3, 5, 50, 50])).collect(agent.policy(), length).batch
-
-
-def loss_of(agent: Agent) -> ClipPPOLoss:
+def loss_of(agent: Agent) -> PPOLoss:
     loss = agent.modules()["loss"]
-    assert isinstance(loss, ClipPPOLoss)
+    assert isinstance(loss, PPOLoss)
     return loss
-
-
-def three_steps(terminated: bool) -> TensorDict:
-    """One world with V(s) = s; its episode ends at the second of three steps."""
-    ended = torch.tensor([[[0], [1], [0]]], dtype=torch.bool)
-    after = {
-        "observation": torch.tensor([[[1.0], [4.0], [2.5]]]),
-        "reward": torch.tensor([[[1.0], [2.0], [3.0]]]),
-        "done": ended,
-        "terminated": ended & terminated,
-    }
-    start = torch.tensor([[[0.5], [1.0], [1.5]]])
-    return TensorDict({"observation": start, "next": TensorDict(after, [1, 3])}, [1, 3])
 
 
 @pytest.mark.parametrize(
@@ -106,8 +88,9 @@ def learnable(agent: Agent) -> TensorDictBase:
     return batch
 
 
-def test_losses_are_the_clipped_objective_and_the_squared_error() -> None:
-    agent = make_agent(replace(QUICK_PPO, clip=0.2), seed=0)
+@pytest.mark.parametrize("clip", [0.2, None])
+def test_losses_are_the_clipped_objective_and_the_squared_error(clip) -> None:
+    agent = make_agent(replace(QUICK_PPO, clip=clip), seed=0)
     batch = learnable(agent)
     distribution = Normal(*agent.actor(batch["observation"]))
     log_prob = distribution.log_prob(batch["action"]).sum(-1)
@@ -116,7 +99,9 @@ def test_losses_are_the_clipped_objective_and_the_squared_error() -> None:
     assert ((ratio - 1).abs() < 0.2).any()
     advantage = batch["advantage"].squeeze(-1)
     advantage = (advantage - advantage.mean()) / advantage.std()
-    gain = torch.minimum(ratio * advantage, ratio.clamp(0.8, 1.2) * advantage)
+    gain = ratio * advantage
+    if clip:
+        gain = torch.minimum(gain, ratio.clamp(1 - clip, 1 + clip) * advantage)
     loss = loss_of(agent)
     with loss.critic_network_params.to_module(loss.critic_network):
         value = loss.critic_network(batch.clone())["state_value"]
@@ -143,9 +128,13 @@ def native_and_defined(monkeypatch: pytest.MonkeyPatch, config: PPOConfig, space
 
 
 @pytest.mark.parametrize("size", [40, 128, 300])
-@pytest.mark.parametrize("scale", [(), (1.0, 0.5, 0.1)])
-def test_native_gradients_are_those_of_torchrls_loss(size, scale, monkeypatch) -> None:
-    config = replace(QUICK_PPO, action_scale=scale, critic_hidden=(16, 24))
+@pytest.mark.parametrize(
+    ("scale", "clip"), [((), 0.2), ((1.0, 0.5, 0.1), 0.2), ((), None)]
+)
+def test_native_gradients_are_those_of_torchrls_loss(
+    size, scale, clip, monkeypatch
+) -> None:
+    config = replace(QUICK_PPO, action_scale=scale, clip=clip, critic_hidden=(16, 24))
     both = native_and_defined(monkeypatch, config, Spaces(5, 3))
     assert isinstance(both[0]._gradients, NativeGradients)
     assert isinstance(both[1]._gradients, AutogradGradients)
@@ -156,7 +145,8 @@ def test_native_gradients_are_those_of_torchrls_loss(size, scale, monkeypatch) -
     old = log_prob + 0.3 * torch.randn(size, 1)
     rows = torch.cat([state, action, old, torch.randn(size, 2)], -1)
     mine, expected = [agent._gradients(rows)._asdict() for agent in both]
-    assert 0.1 < mine["clip_fraction"] < 0.9
+    if clip:
+        assert 0.1 < mine["clip_fraction"] < 0.9
     ratio = (log_prob - old).exp()
     assert mine["kl"] == pytest.approx(
         (ratio - 1 - ratio.log()).mean().item(), rel=1e-4

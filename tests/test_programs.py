@@ -210,7 +210,7 @@ def refusal(found: Result) -> str:
         ("train --task Raech", "did you mean 'Reach'? known tasks: .*Lift.*Reach"),
         ("train --task no.module:Task", "cannot import task 'no.module:Task'"),
         ("train --task json:dumps", "must be a subclass of manip.envs.Task"),
-        ("train --algo dqn", "unknown algorithm 'dqn': known algorithms: sac, ppo"),
+        ("train --algo ddqn", "unknown algorithm 'ddqn': did you mean 'dqn'.*sac"),
         ("train --robot panda", "did you mean 'Panda'? known robots: "),
         ("train --controller OSC", "Expected one of .*'OSC_POSITION'"),
         ("train --fidelity coarse", "Expected one of ('exact', 'fast')"),

@@ -12,9 +12,10 @@ from toy import QUICK_SAC, Points, make_agent, mean_return, train
 
 from manip.agents import checked, sac_gradients
 from manip.agents.agent import Spaces
+from manip.agents.off_policy import rows_of
 from manip.agents.returns import n_step_transitions
 from manip.agents.sac import SAC, SACConfig
-from manip.agents.sac_gradients import AutogradGradients, NativeGradients, rows_of
+from manip.agents.sac_gradients import AutogradGradients, NativeGradients
 from manip.training.rollout import Rollout
 
 SPACES = Spaces(observation_dim=5, action_dim=3)
@@ -93,12 +94,13 @@ def native_and_defined(
 
 @pytest.mark.parametrize("scale", [(), (1.0, 0.5, 0.1)])
 @pytest.mark.parametrize("size", [64, 128, 200])
-@pytest.mark.parametrize("hidden", [(16,), (16, 24)])
+@pytest.mark.parametrize(("hidden", "critics"), [((16,), 2), ((16, 24), 2), ((16,), 1)])
 def test_native_gradients_are_those_of_torchrls_loss(
-    scale, size, hidden, monkeypatch
+    scale, size, hidden, critics, monkeypatch
 ) -> None:
     config = replace(
         SMALL,
+        critics=critics,
         action_scale=scale,
         batch_size=size,
         actor_hidden=hidden,
@@ -277,6 +279,14 @@ def test_actor_and_temperature_move_at_every_actor_delay_th_update() -> None:
         assert (loss_of(agent).log_alpha != alpha) == moved[-1]
         assert ("loss_actor" in logged) == moved[-1]
     assert moved == [False, False, True, False, False, True, False]
+
+
+def test_a_fixed_temperature_stays_while_the_actor_learns() -> None:
+    agent = agent_of(replace(SMALL, fixed_alpha=True, initial_alpha=0.3))
+    before = weights(agent, "actor_net")
+    agent.update(transitions()[:, None])
+    assert differ(before, weights(agent, "actor_net"))
+    assert loss_of(agent).log_alpha.exp().item() == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize("per_step", [0.1, 0.25, 0.75, 1.5])

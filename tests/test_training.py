@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,13 @@ from manip.trees import load_tree, save_tree
 
 AGENTS = {
     "bc": {"rollout_length": 8, "batch_size": 32, "buffer_size": 160},
+    "reinforce": {"critic_hidden": [16], "rollout_length": 16},
+    "a2c": {"critic_hidden": [16], "rollout_length": 8},
+    "a3c": {"critic_hidden": [16], "rollout_length": 8, "workers": 2},
+    "trpo": {"critic_hidden": [16], "rollout_length": 16, "minibatches": 2},
+    "ppo-kl": {"critic_hidden": [16], "rollout_length": 16, "minibatches": 2},
+    "td3": {"random_steps": 128, "buffer_size": 160, "batch_size": 32},
+    "dqn": {"random_steps": 128, "buffer_size": 160, "batch_size": 32},
     "ppo": {
         "critic_hidden": [16],
         "rollout_length": 16,
@@ -57,16 +64,28 @@ AGENTS = {
         "actor_delay": 20,
     },
 }
-ROLLOUT = {"bc": 4 * 8, "ppo": 4 * 16, "sac": 4 * 8}
+OFTEN = ("bc", "ppo", "sac")
+"""Algorithms that the fast tests run; the slow ones run the others."""
+ROLLOUT = {
+    algo: 4 * options.get("rollout_length", 8) for algo, options in AGENTS.items()
+}
 """Control steps between two updates."""
+ROLLOUT["a3c"] //= 2
 TIMES = ("seconds", "steps_per_second")
 """Columns that depend on the clock."""
 
-by_algorithm = pytest.mark.parametrize("algo", sorted(AGENTS))
+by_algorithm = pytest.mark.parametrize(
+    "algo",
+    [
+        algo if algo in OFTEN else pytest.param(algo, marks=pytest.mark.slow)
+        for algo in sorted(AGENTS)
+    ],
+)
 
 
 def tiny(algo: str, out: Path, **changes: Any) -> TrainConfig:
-    agent = {"actor_hidden": [16]} | AGENTS[algo]
+    hidden = "critic_hidden" if algo == "dqn" else "actor_hidden"
+    agent = {hidden: [16]} | AGENTS[algo]
     options = {
         "task": "Reach",
         "algo": algo,
@@ -229,7 +248,7 @@ def test_the_policy_kept_is_the_best_evaluated_one(algo, finished) -> None:
     assert checkpoint["progress"]["env_steps"] == card.env_steps
     assert_holds(checkpoint["modules"], policy.actor.body[-1].weight)
     assert (card.task, card.robot, card.algo) == ("Reach", "Panda", algo)
-    assert list(card.layout) == list(run.env.worlds.layout)
+    assert list(card.layout) == list(run.judge.worlds.layout)
 
 
 def test_evaluations_are_of_the_same_episodes(tmp_path: Path) -> None:
@@ -280,7 +299,15 @@ def test_another_seed_gives_another_run(finished, tmp_path) -> None:
 @pytest.mark.parametrize(
     ("algo", "stops"),
     # Before, at and after an evaluation; before and after SAC begins to learn.
-    [("bc", (3,)), ("ppo", (1, 2)), ("ppo", (4,)), ("sac", (2, 1)), ("sac", (11,))],
+    [
+        *(("bc", (3,)), ("ppo", (1, 2)), ("ppo", (4,)), ("sac", (2, 1))),
+        *(("sac", (11,)), ("a3c", (5, 4))),
+        *(
+            pytest.param(algo, (3, 2), marks=pytest.mark.slow)
+            for algo in sorted(AGENTS)
+            if algo not in OFTEN
+        ),
+    ],
 )
 def test_an_interrupted_run_goes_on_bit_for_bit(
     algo: str, stops: tuple[int, ...], finished, tmp_path: Path
@@ -537,7 +564,7 @@ def test_sigterm_saves_and_leaves_with_3_and_the_run_goes_on(tmp_path: Path) -> 
 
 def test_every_recipe_loads_for_the_task_and_algorithm_it_is_named_after() -> None:
     for name in recipe_names():
-        task, algo = name.split("-")
+        task, algo = name.split("-", 1)
         names = {known.lower(): known for known in task_names()}
         found = recipe(names.get(task, task), algo)
         assert found != recipe("a task without a recipe", algo), name
@@ -548,7 +575,8 @@ def test_every_recipe_loads_for_the_task_and_algorithm_it_is_named_after() -> No
 
 @pytest.mark.parametrize("algo", sorted(ALGORITHMS))
 def test_options_survive_yaml(algo: str, tmp_path: Path) -> None:
-    config = tiny(algo, tmp_path / "run", seed=3, agent={"actor_hidden": [8, 8]})
+    widths = next(o.name for o in fields(ALGORITHMS[algo]) if o.name.endswith("hidden"))
+    config = tiny(algo, tmp_path / "run", seed=3, agent={widths: [8, 8]})
     assert from_dict(yaml.safe_load(yaml.safe_dump(to_dict(config)))) == config
 
 
@@ -564,7 +592,7 @@ def test_a_run_folder_is_named_after_what_is_trained() -> None:
         ({"stepz": 1}, "unknown .*'stepz': did you mean 'steps'.*num_worlds"),
         ({"agent": {"gama": 1}}, "unknown .*SACConfig 'gama': did you mean 'gamma'"),
         ({"algo": "ppo", "agent": {"tau": 1}}, "unknown option of PPOConfig.*clip"),
-        ({"algo": "dqn"}, "unknown algorithm 'dqn': known algorithms: sac, ppo"),
+        ({"algo": "ddqn"}, "unknown algorithm 'ddqn': did you mean 'dqn'.*sac"),
         ({"agent": "fast"}, "must be a mapping, not 'fast'"),
         ({"agent": 3}, "must be a mapping, not 3"),
         ({"steps": 0}, "steps must be at least 1, not 0"),
@@ -584,7 +612,7 @@ def test_wrong_options_are_told(values: dict[str, Any], told: str) -> None:
 @by_algorithm
 def test_a_policy_is_what_the_agent_would_do(algo, finished) -> None:
     run = finished(algo)
-    policy = policy_of(run.agent, run.config, run.env, run.env_steps)
-    observation = run.env.look()["observation"]
+    policy = policy_of(run.agent, run.config, run.judge, run.env_steps)
+    observation = run.judge.look()["observation"]
     assert torch.equal(policy(observation), run.agent.actor.decide(observation))
     assert policy.card.observation_dim == observation.shape[1]

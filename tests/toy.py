@@ -8,10 +8,18 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from manip.agents.a2c import A2CConfig
 from manip.agents.agent import Agent, Spaces
-from manip.agents.ppo import PPO, PPOConfig
-from manip.agents.sac import SAC, SACConfig
+from manip.agents.dqn import DQNConfig
+from manip.agents.ppo import PPOConfig
+from manip.agents.ppo_kl import PPOKLConfig
+from manip.agents.reinforce import ReinforceConfig
+from manip.agents.sac import SACConfig
+from manip.agents.td3 import TD3Config
+from manip.agents.trpo import TRPOConfig
 from manip.evaluation.episodes import run_episodes
+from manip.training.build import AGENTS
+from manip.training.config import AgentConfig
 from manip.training.rollout import Rollout
 
 SPACES = Spaces(observation_dim=1, action_dim=1)
@@ -32,6 +40,49 @@ QUICK_PPO = PPOConfig(
     minibatches=2,
     actor_hidden=(32,),
     critic_hidden=(32,),
+)
+QUICK_A2C = A2CConfig(
+    learning_rate=1e-2, gamma=0.9, actor_hidden=(32,), critic_hidden=(32,)
+)
+QUICK_REINFORCE = ReinforceConfig(
+    learning_rate=1e-2,
+    rollout_length=10,
+    gamma=0.9,
+    actor_hidden=(32,),
+    critic_hidden=(32,),
+)
+QUICK_TRPO = TRPOConfig(
+    learning_rate=3e-3,
+    rollout_length=20,
+    minibatches=2,
+    actor_hidden=(32,),
+    critic_hidden=(32,),
+)
+QUICK_PPO_KL = PPOKLConfig(
+    learning_rate=3e-3,
+    rollout_length=20,
+    minibatches=2,
+    actor_hidden=(32,),
+    critic_hidden=(32,),
+)
+QUICK_TD3 = TD3Config(
+    gamma=0.9,
+    n_step=1,
+    learning_rate=1e-3,
+    updates_per_step=0.5,
+    exploration_noise=0.5,
+    batch_size=64,
+    actor_hidden=(32,),
+    critic_hidden=(32,),
+    buffer_size=5_000,
+    random_steps=320,
+)
+QUICK_DQN = DQNConfig(
+    learning_rate=3e-3,
+    batch_size=64,
+    critic_hidden=(32,),
+    buffer_size=5_000,
+    random_steps=320,
 )
 
 
@@ -96,12 +147,13 @@ class Points(EnvBase):
         self._generator = torch.Generator().manual_seed(seed or 0)
 
 
-def make_agent(config: SACConfig | PPOConfig, seed: int) -> Agent:
+def make_agent(config: AgentConfig, seed: int) -> Agent:
     torch.manual_seed(seed)
-    return PPO(config, SPACES) if isinstance(config, PPOConfig) else SAC(config, SPACES)
+    agent: Agent = AGENTS[type(config)](config, SPACES)
+    return agent
 
 
-def train(config: SACConfig | PPOConfig, seed: int, steps: int) -> Agent:
+def train(config: AgentConfig, seed: int, steps: int) -> Agent:
     """An agent after `steps` control steps of 16 points."""
     agent = make_agent(config, seed)
     rollout = Rollout(Points([20] * 16, seed))
@@ -114,3 +166,22 @@ def mean_return(agent: Agent) -> float:
     """Of the deterministic policy, over 100 episodes of 20 steps."""
     episodes = run_episodes(Points([20] * 100, seed=123), agent.actor.decide, 100)
     return sum(episode.total_reward for episode in episodes) / len(episodes)
+
+
+def rollout_of(agent: Agent, length: int = 12) -> TensorDictBase:
+    """Worlds whose episodes end at different times, within the rollout."""
+    return Rollout(Points([3, 5, 50, 50])).collect(agent.policy(), length).batch
+
+
+def three_steps(terminated: bool) -> TensorDict:
+    """One world with V(s) = s; its episode ends at the second of three steps."""
+    ended = torch.tensor([[[0], [1], [0]]], dtype=torch.bool)
+    after = {
+        "observation": torch.tensor([[[1.0], [4.0], [2.5]]]),
+        "reward": torch.tensor([[[1.0], [2.0], [3.0]]]),
+        "done": ended,
+        "terminated": ended & terminated,
+    }
+    start = torch.tensor([[[0.5], [1.0], [1.5]]])
+    before = {"observation": start, "action": torch.zeros(1, 3, 1)}
+    return TensorDict({**before, "next": TensorDict(after, [1, 3])}, [1, 3])

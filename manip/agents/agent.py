@@ -9,7 +9,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
 
-from manip.agents.networks import Actor
+from manip.agents.networks import Actor, BinnedActor
 
 
 @dataclass(frozen=True)
@@ -28,12 +28,14 @@ class Agent(ABC):
         rollout_length: control steps T of every world between two updates.
         off_policy: learns from what older policies collected, too.
         imitates: asks the worlds what the task's script would do (`script` [N, A]).
+        workers: rollouts that are under way side by side, in worlds of their own.
     """
 
-    actor: Actor
+    actor: Actor | BinnedActor
     rollout_length: int
     off_policy: bool = False
     imitates: bool = False
+    workers: int = 1
 
     @abstractmethod
     def policy(self) -> TensorDictModuleBase:
@@ -42,9 +44,18 @@ class Agent(ABC):
         A copy, with random numbers of its own: it may act while the agent learns.
         """
 
+    def digest(
+        self, policy: TensorDictModuleBase, batch: TensorDictBase
+    ) -> TensorDictBase:
+        """What `update` learns from: the policy's rollout [N, T], or findings in it.
+
+        Called on the thread that collected the rollout, while others may learn.
+        """
+        return batch
+
     @abstractmethod
     def update(self, batch: TensorDictBase) -> dict[str, float]:
-        """Learn from a rollout [N, T]; scalars to log, empty before learning starts."""
+        """Learn from a rollout; scalars to log, empty before learning starts."""
 
     @abstractmethod
     def modules(self) -> dict[str, nn.Module]:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from manip.errors import UserError
+from manip.errors import UserError, at_least
 
 MIN_LOG_STD, MAX_LOG_STD = -5.0, 2.0
 """Range of a state-dependent log standard deviation (SAC, common practice)."""
@@ -91,6 +91,7 @@ class Actor(nn.Module):
     """
 
     action_scale: Tensor
+    bins = 0
 
     def __init__(
         self,
@@ -104,12 +105,7 @@ class Actor(nn.Module):
         super().__init__()
         self.squash = squash
         self.observation_dim = observation_dim
-        scale = torch.tensor(action_scale or [1.0] * action_dim)
-        if scale.shape != (action_dim,):
-            raise UserError(
-                f"action_scale has {len(scale)} numbers, the action has {action_dim}"
-            )
-        self.register_buffer("action_scale", scale)
+        self.register_buffer("action_scale", _scale(action_scale, action_dim))
         self.norm = RunningNorm(observation_dim) if normalise else nn.Identity()
         activation = nn.ReLU if squash else nn.Tanh
         outputs = action_dim * (2 if squash else 1)
@@ -136,6 +132,71 @@ class Actor(nn.Module):
     def squashed(self, raw: Tensor) -> Tensor:
         """The action [..., A] of a sample of SAC's Gaussian."""
         return self.action_scale * raw.tanh()
+
+
+class BinnedActor(nn.Module):
+    """Values of discretised actions: observation [..., D] -> [..., A * bins].
+
+    The sum of the values of one bin a dimension is Q(s, a), the mean over dimensions i
+    of q_i = V + A_i - mean A_i; see `manip.agents.dqn`. The best bins are the action.
+
+    Args:
+        bins: values that each dimension can take, from -1 to 1.
+        action_scale: as for `Actor`.
+    """
+
+    action_scale: Tensor
+    squash = False
+
+    def __init__(
+        self,
+        observation_dim: int,
+        action_dim: int,
+        hidden: Sequence[int],
+        bins: int,
+        action_scale: Sequence[float] = (),
+    ) -> None:
+        super().__init__()
+        self.observation_dim, self.action_dim = observation_dim, action_dim
+        self.bins = bins
+        at_least(2, "bins", bins)
+        self.register_buffer("action_scale", _scale(action_scale, action_dim))
+        self.norm = nn.Identity()
+        self.body = mlp(observation_dim, 1 + action_dim * bins, hidden, layer_norm=True)
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """q_i / A of every bin of every dimension, dimension by dimension."""
+        value, raw = self.body(observation).tensor_split([1], -1)
+        advantage = raw.unflatten(-1, (self.action_dim, self.bins))
+        centred = advantage - advantage.mean(-1, keepdim=True)
+        return (value.unsqueeze(-1) + centred).flatten(-2) / self.action_dim
+
+    def decide(self, observation: Tensor) -> Tensor:
+        """The deterministic action [..., A] in [-1, 1]."""
+        return self.action_scale * self.values_of(self.best(observation))
+
+    def best(self, observation: Tensor) -> Tensor:
+        """[..., A] int, the bin of the highest value in each dimension."""
+        values = self(observation).unflatten(-1, (self.action_dim, self.bins))
+        return values.argmax(-1)
+
+    def values_of(self, chosen: Tensor) -> Tensor:
+        """Bins [..., A] int -> numbers from -1 to 1."""
+        return 2 * chosen / (self.bins - 1) - 1
+
+    def one_hot(self, values: Tensor) -> Tensor:
+        """What `values_of` gave -> [..., A * bins], 1 at the bins, 0 elsewhere."""
+        chosen = ((values + 1) / 2 * (self.bins - 1)).round().long()
+        return nn.functional.one_hot(chosen, self.bins).flatten(-2)
+
+
+def _scale(given: Sequence[float], action_dim: int) -> Tensor:
+    scale = torch.tensor(given or [1.0] * action_dim)
+    if scale.shape != (action_dim,):
+        raise UserError(
+            f"action_scale has {len(scale)} numbers, the action has {action_dim}"
+        )
+    return scale
 
 
 def seeded() -> torch.Generator:

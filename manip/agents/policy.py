@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from manip.agents.networks import Actor
+from manip.agents.networks import Actor, BinnedActor
 from manip.errors import UserError, one_line
 from manip.files import write_text
 from manip.plain import build
@@ -35,6 +35,7 @@ class PolicyCard:
 
     layout: observation part -> [start, stop) in the observation vector.
     env_steps: control steps of training that went into it.
+    bins: values that each dimension of the action can take; 0 if it is continuous.
     """
 
     task: str
@@ -50,6 +51,7 @@ class PolicyCard:
     env_steps: int
     seed: int
     versions: dict[str, str]
+    bins: int = 0
     format: int = FORMAT
 
     @property
@@ -68,7 +70,7 @@ class Policy:
     """A deterministic policy: observation [N, D] -> action [N, A] in [-1, 1]."""
 
     card: PolicyCard
-    actor: Actor
+    actor: Actor | BinnedActor
 
     @torch.no_grad()
     def __call__(self, observation: Tensor) -> Tensor:
@@ -122,7 +124,11 @@ def _find(where: str | Path) -> Path:
     )
 
 
-def _actor(card: PolicyCard) -> Actor:
+def _actor(card: PolicyCard) -> Actor | BinnedActor:
+    if card.bins:
+        return BinnedActor(
+            card.observation_dim, card.action_dim, card.hidden, card.bins
+        )
     return Actor(
         card.observation_dim, card.action_dim, card.hidden, card.squash, card.normalise
     )

@@ -6,10 +6,10 @@ from typing import NamedTuple, Protocol
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
-from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives import PPOLoss
 
 from manip.agents.checked import native_if_right
-from manip.agents.flat import flatten, zero_gradient
+from manip.agents.flat import zero_gradient
 from manip.agents.kernels import TANH, layout_of
 from manip.agents.networks import Actor, widths_of
 from manip.agents.parts import PART, Parts, parts_of
@@ -52,13 +52,8 @@ def rows_of(samples: TensorDictBase) -> Tensor:
     return torch.cat(parts, -1)
 
 
-def flatten_networks(actor: Actor, critic: nn.Module) -> nn.Parameter:
-    """All parameters in one: the actor's, its log deviations, the critic's."""
-    return flatten([*actor.body.parameters(), actor.log_std, *critic.parameters()])
-
-
 def gradients_of(
-    loss: ClipPPOLoss,
+    loss: PPOLoss,
     actor: Actor,
     critic: nn.Module,
     params: nn.Parameter,
@@ -80,9 +75,9 @@ def gradients_of(
 
 
 class AutogradGradients:
-    """TorchRL's ClipPPOLoss and PyTorch's autograd: the definition."""
+    """TorchRL's (Clip)PPOLoss and PyTorch's autograd: the definition."""
 
-    def __init__(self, loss: ClipPPOLoss, actor: Actor, params: nn.Parameter) -> None:
+    def __init__(self, loss: PPOLoss, actor: Actor, params: nn.Parameter) -> None:
         self._loss, self._params = loss, params
         self._widths = (actor.observation_dim, len(actor.action_scale), 1, 1, 1)
 
@@ -94,7 +89,7 @@ class AutogradGradients:
             found["loss_objective"] + found["loss_entropy"] + found["loss_critic"]
         ).backward()
         names = (*Told._fields[:3], "kl_approx", "clip_fraction")
-        return Told(*(found[name].item() for name in names))
+        return Told(*(found.get(name, torch.zeros(())).item() for name in names))
 
     def _samples(self, rows: Tensor) -> TensorDict:
         state, action, log_prob, advantage, target = rows.split(self._widths, 1)
@@ -115,7 +110,7 @@ class NativeGradients:
 
     def __init__(
         self,
-        loss: ClipPPOLoss,
+        loss: PPOLoss,
         actor: Actor,
         critic: nn.Module,
         params: nn.Parameter,
@@ -130,7 +125,7 @@ class NativeGradients:
             critic_layout=layout_of(widths_of(critic), TANH, PART),
             log_std_at=sum(p.numel() for p in actor.body.parameters()),
             action_scale=actor.action_scale.numpy(),
-            clip=float(loss.clip_epsilon),
+            clip=float(getattr(loss, "clip_epsilon", math.inf)),
             critic_coefficient=float(loss.critic_coeff),
         )
         self._reserve(0)

@@ -1,7 +1,26 @@
-"""Transitions over several steps, from rollouts."""
+"""Values and transitions over several steps, from rollouts."""
 
 import torch
 from tensordict import TensorDict, TensorDictBase
+from torch import nn
+
+
+@torch.no_grad()
+def add_values(batch: TensorDictBase, critic: nn.Module) -> TensorDictBase:
+    """Write state_value, now and next, of a rollout [N, T].
+
+    The value of a successor is that of the next step's state, except where an episode
+    or the rollout ends: there the true successor is valued.
+    """
+    value = critic(batch.select("observation"))["state_value"]
+    following = torch.empty_like(value)
+    following[:, :-1] = value[:, 1:]
+    ends = batch["next", "done"].squeeze(-1).clone()
+    ends[:, -1] = True
+    last = batch["next"].select("observation")[ends]
+    following[ends] = critic(last)["state_value"]
+    batch.set("state_value", value)
+    return batch.set(("next", "state_value"), following)
 
 
 def n_step_transitions(batch: TensorDictBase, n: int, gamma: float) -> TensorDictBase:
@@ -37,3 +56,22 @@ def n_step_transitions(batch: TensorDictBase, n: int, gamma: float) -> TensorDic
         },
         batch.shape,
     )
+
+
+@torch.no_grad()
+def n_step_advantages(
+    batch: TensorDictBase, n: int, gamma: float, critic: nn.Module
+) -> TensorDictBase:
+    """Write value_target and advantage from n rewards each to a rollout [N, T].
+
+    The target is r_t + ... + gamma^(n-1) r_{t+n-1} + gamma^n V(s_{t+n}), with fewer
+    rewards where the episode or the rollout ends before, and no V after a termination;
+    the advantage is the target less `state_value`.
+    """
+    steps = n_step_transitions(batch, n, gamma)
+    future = critic(steps["next"].select("observation"))["state_value"]
+    alive = ~steps["next", "terminated"]
+    discount = gamma ** steps["steps_to_next_obs"]
+    target = steps["next", "reward"] + discount * alive * future
+    batch.set("value_target", target)
+    return batch.set("advantage", target - batch["state_value"])

@@ -4,7 +4,6 @@ import warnings
 from typing import NamedTuple, Protocol
 
 import torch
-from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torchrl.objectives import SACLoss
 
@@ -12,6 +11,7 @@ from manip.agents.checked import native_if_right
 from manip.agents.flat import flatten, zero_gradient
 from manip.agents.kernels import NORM_RELU, RELU, layout_of
 from manip.agents.networks import Actor, widths_of
+from manip.agents.off_policy import transitions_of
 from manip.agents.parts import PART, Parts, parts_of
 from manip.agents.sac_kernels import (
     Nets,
@@ -28,7 +28,7 @@ warnings.filterwarnings("ignore", "grad and param do not obey")
 
 
 class FlatParams(NamedTuple):
-    """SACLoss's parameters, flat: actor and temperature [P + 1], critics [2, Q]."""
+    """SACLoss's parameters, flat: actor and temperature [P + 1], critics [C, Q]."""
 
     actor: nn.Parameter
     critics: nn.Parameter
@@ -39,9 +39,14 @@ class FlatParams(NamedTuple):
         found = (self.actor.grad, self.critics.grad)
         return torch.cat([grad.flatten() for grad in found if grad is not None])
 
+    def gradient_of_alpha(self) -> Tensor:
+        """The place of the gradient by log(temperature)."""
+        assert self.actor.grad is not None
+        return self.actor.grad[-1]
+
 
 class Gradients(Protocol):
-    """Writes the gradients of a batch of rows (see `sac_kernels`) to the parameters."""
+    """Writes the gradients of a batch of rows (see `rows_of`) to the parameters."""
 
     def critic(self, rows: Tensor) -> float:
         """Of both critics; returns their loss."""
@@ -63,20 +68,6 @@ def flatten_loss(loss: SACLoss, actor: Actor) -> FlatParams:
         flatten([online.get(key) for key in layers], leading=1),
         flatten([target.get(key) for key in layers], leading=1),
     )
-
-
-def rows_of(transitions: TensorDictBase) -> Tensor:
-    """Transitions [B] as rows [B, 2 O + A + 3]; see `sac_kernels`."""
-    after = transitions["next"]
-    parts = [
-        transitions["observation"],
-        transitions["action"],
-        after["observation"],
-        after["reward"],
-        transitions["steps_to_next_obs"],
-        after["terminated"],
-    ]
-    return torch.cat([part.float() for part in parts], -1)
 
 
 def sac_gradients(
@@ -130,35 +121,17 @@ class AutogradGradients:
     def critic(self, rows: Tensor) -> float:
         """See `Gradients`."""
         zero_gradient(self._params.critics)
-        loss, _ = self._loss.qvalue_v2_loss(self._batch(rows))
+        loss, _ = self._loss.qvalue_v2_loss(transitions_of(rows, self._states))
         loss.backward()
         return loss.item()
 
     def actor(self, rows: Tensor) -> tuple[float, float]:
         """See `Gradients`."""
         zero_gradient(self._params.actor)
-        loss, found = self._loss.actor_loss(self._batch(rows))
+        loss, found = self._loss.actor_loss(transitions_of(rows, self._states))
         log_prob = found["log_prob"]
         (loss + self._loss.alpha_loss(log_prob).mean()).backward()
         return loss.item(), log_prob.mean().item()
-
-    def _batch(self, rows: Tensor) -> TensorDict:
-        states = self._states
-        actions = rows.shape[1] - 2 * states - 3
-        widths = (states, actions, states, 1, 1, 1)
-        state, action, following, reward, steps, terminated = rows.split(widths, 1)
-        ended = terminated > 0
-        after = {"observation": following, "reward": reward}
-        after |= {"terminated": ended, "done": ended}
-        return TensorDict(
-            {
-                "observation": state,
-                "action": action,
-                "steps_to_next_obs": steps,
-                "next": TensorDict(after, rows.shape[:1]),
-            },
-            rows.shape[:1],
-        )
 
 
 class NativeGradients:

@@ -30,7 +30,7 @@ LOG_2, LOG_2PI = np.float32(np.log(2)), np.float32(np.log(2 * np.pi))
 class Nets(NamedTuple):
     """Flat parameters, and how they lie.
 
-    actor: [P + 1] with log(temperature) behind; critics, targets: [2, Q].
+    actor: [P + 1] with log(temperature) behind; critics, targets: [C, Q], C = 1 or 2.
     """
 
     actor: Array
@@ -71,15 +71,16 @@ class Work(NamedTuple):
 
 def work_for(nets: Nets, parts: int, rows: int) -> Work:
     """Scratch for so many parts of up to `rows` rows: arrays [parts, ...]."""
-    actions = len(nets.action_scale)
+    actions, critics = len(nets.action_scale), len(nets.critics)
     pair = nets.critic_layout.widths[0]
     widest = max(nets.actor_layout.widths.max(), nets.critic_layout.widths.max())
     shapes = {
         "state": (rows, pair - actions), "pair": (rows, pair),
-        "d_pair": (2, rows, pair), "out": (rows, 2 * actions),
-        "d_out": (rows, 2 * actions), "value": (2, rows, 1), "d_value": (2, rows, 1),
+        "d_pair": (critics, rows, pair), "out": (rows, 2 * actions),
+        "d_out": (rows, 2 * actions), "value": (critics, rows, 1),
+        "d_value": (critics, rows, 1),
         "actor_tape": (tape_size(nets.actor_layout, rows),),
-        "critic_tape": (2, tape_size(nets.critic_layout, rows)),
+        "critic_tape": (critics, tape_size(nets.critic_layout, rows)),
         "scratch": (2, rows * widest), "squashed": (rows, actions),
         "std": (rows, actions), "slope": (rows, actions), "log_prob": (rows,),
         "d_actor": nets.actor.shape, "d_critics": nets.critics.shape, "found": (2,),
@@ -99,17 +100,17 @@ def critic_gradients(nets: Nets, rows: Array, noise: Array, work: Work) -> None:
     state, pair, value = work.state[:n], work.pair[:n], work.value
     state[:] = rows[:, size : size + state.shape[1]]
     _act(nets, state, noise, pair, work)
-    for i in range(2):
+    for i in range(len(nets.targets)):
         _value(nets.targets[i], nets, i, work, pair)
     target = work.log_prob
     alpha = np.exp(nets.actor[-1])
     for r in range(n):
-        future = min(value[0, r, 0], value[1, r, 0]) - alpha * work.log_prob[r]
+        future = value[:, r, 0].min() - alpha * work.log_prob[r]
         discount = np.float32(nets.gamma) ** rows[r, -2] * (ONE - rows[r, -1])
         target[r] = rows[r, -3] + discount * future
     pair[:] = rows[:, :size]
     work.found[:] = 0
-    for i in range(2):
+    for i in range(len(nets.critics)):
         tape, d_value = work.critic_tape[i], work.d_value[i, :n]
         _value(nets.critics[i], nets, i, work, pair)
         for r in range(n):
@@ -140,16 +141,17 @@ def actor_gradients(nets: Nets, rows: Array, noise: Array, work: Work) -> None:
     state, pair, value = work.state[:n], work.pair[:n], work.value
     state[:] = rows[:, :states]
     _act(nets, state, noise, pair, work)
-    for i in range(2):
+    for i in range(len(nets.critics)):
         _value(nets.critics[i], nets, i, work, pair)
     alpha = np.exp(nets.actor[-1])
     work.found[:] = 0
     for r in range(n):
-        lower = 0 if value[0, r, 0] < value[1, r, 0] else 1
-        work.d_value[lower, r, 0], work.d_value[1 - lower, r, 0] = ONE, 0
+        lower = value[:, r, 0].argmin()
+        work.d_value[:, r, 0] = 0
+        work.d_value[lower, r, 0] = ONE
         work.found[0] += alpha * work.log_prob[r] - value[lower, r, 0]
         work.found[1] += work.log_prob[r]
-    for i in range(2):
+    for i in range(len(nets.critics)):
         backward_to_input(
             nets.critics[i],
             nets.critic_layout,
@@ -224,7 +226,7 @@ def _act_backward(
     for r in range(n):
         for j in range(actions):
             t = work.squashed[r, j]
-            by_action = work.d_pair[0, r, states + j] + work.d_pair[1, r, states + j]
+            by_action = work.d_pair[:, r, states + j].sum()
             by_u = alpha * TWO * t
             by_u -= by_action * nets.action_scale[j] * (ONE - t * t)
             work.d_out[r, j] = by_u

@@ -5,12 +5,19 @@ from typing import Any
 
 import torch
 
+from manip.agents.a2c import A2C, A2CConfig
+from manip.agents.a3c import A3C, A3CConfig
 from manip.agents.agent import Agent, Spaces
 from manip.agents.bc import BC, BCConfig
-from manip.agents.networks import RunningNorm
+from manip.agents.dqn import DQN, DQNConfig
+from manip.agents.networks import RunningNorm, widths_of
 from manip.agents.policy import Policy, PolicyCard
 from manip.agents.ppo import PPO, PPOConfig
+from manip.agents.ppo_kl import PPOKL, PPOKLConfig
+from manip.agents.reinforce import Reinforce, ReinforceConfig
 from manip.agents.sac import SAC, SACConfig
+from manip.agents.td3 import TD3, TD3Config
+from manip.agents.trpo import TRPO, TRPOConfig
 from manip.cpus import usable_cpus
 from manip.envs.others import OtherTask
 from manip.envs.registry import load_task
@@ -19,34 +26,64 @@ from manip.errors import UserError
 from manip.training.config import TrainConfig
 from manip.versions import versions
 
-AGENTS: dict[type, Any] = {SACConfig: SAC, PPOConfig: PPO, BCConfig: BC}
+AGENTS: dict[type, Any] = {
+    ReinforceConfig: Reinforce,
+    A2CConfig: A2C,
+    A3CConfig: A3C,
+    TRPOConfig: TRPO,
+    PPOConfig: PPO,
+    PPOKLConfig: PPOKL,
+    DQNConfig: DQN,
+    TD3Config: TD3,
+    SACConfig: SAC,
+    BCConfig: BC,
+}
 """Options of an algorithm -> its agent."""
 
 EVAL_SEED = 1_000_000
 """Added to a run's seed for its evaluations: episodes it never trains on."""
 
+WORKER_SEED = 10_000_000
+"""Added to a run's seed for each worker after the first: episodes of its own."""
 
-def training_env(config: TrainConfig) -> NativeEnv | OtherEnv:
-    """The worlds that a run learns from.
+
+def training_envs(config: TrainConfig) -> list[NativeEnv | OtherEnv]:
+    """The worlds that a run learns from: a share of them for each of its workers.
 
     Raises:
-        UserError: a script is to be imitated in another action space than its own.
+        UserError: a script is to be imitated in another action space than its own;
+            workers cannot share the worlds evenly.
     """
-    imitates = bool(AGENTS[type(config.agent)].imitates)
-    if imitates and config.controller != "OSC_POSE":
+    if _imitates(config) and config.controller != "OSC_POSE":
         raise UserError(
             f"scripts give OSC_POSE actions, not {config.controller}: choose another "
             f"algorithm than {config.algo}"
         )
+    workers = getattr(config.agent, "workers", 1)
+    if config.num_worlds % workers:
+        raise UserError(
+            f"num_worlds is {config.num_worlds}, which {workers} workers cannot share "
+            "evenly"
+        )
+    return [_training_env(config, worker, workers) for worker in range(workers)]
+
+
+def _imitates(config: TrainConfig) -> bool:
+    return bool(AGENTS[type(config.agent)].imitates)
+
+
+def _training_env(
+    config: TrainConfig, worker: int, workers: int
+) -> NativeEnv | OtherEnv:
     env = _env(
         config,
-        config.num_worlds,
-        script=imitates,
+        config.num_worlds // workers,
+        script=_imitates(config),
         fidelity=config.fidelity,
-        threads=share_threads(config)[0],
+        threads=max(1, share_threads(config)[0] // workers),
         horizon=config.horizon,
         reward=config.reward,
-        seed=config.seed,
+        seed=config.seed + worker * WORKER_SEED,
         stagger=True,
         own_starts=config.own_starts,
     )
@@ -113,8 +150,9 @@ def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Po
         control_freq=config.control_freq,
         action_dim=env.action_spec.shape[-1],
         layout={name: [part.start, part.stop] for name, part in layout.items()},
-        hidden=list(config.agent.actor_hidden),
+        hidden=widths_of(agent.actor.body)[1:-1],
         squash=agent.actor.squash,
+        bins=agent.actor.bins,
         normalise=isinstance(agent.actor.norm, RunningNorm),
         env_steps=steps,
         seed=config.seed,

@@ -12,7 +12,7 @@ from manip.files import link_file
 from manip.training.rollout import Collector
 from manip.trees import load_tree, save_tree
 
-FORMAT = 4
+FORMAT = 5
 """Version of the checkpoint file; raised when it changes incompatibly."""
 
 

@@ -8,17 +8,42 @@ from typing import Any, Literal, get_type_hints
 
 import yaml
 
+from manip.agents.a2c import A2CConfig
+from manip.agents.a3c import A3CConfig
 from manip.agents.bc import BCConfig
+from manip.agents.dqn import DQNConfig
 from manip.agents.ppo import PPOConfig
+from manip.agents.ppo_kl import PPOKLConfig
+from manip.agents.reinforce import ReinforceConfig
 from manip.agents.sac import SACConfig
+from manip.agents.td3 import TD3Config
+from manip.agents.trpo import TRPOConfig
 from manip.envs.registry import task_names
 from manip.errors import UserError, at_least, unknown
 from manip.sim.model import Fidelity
 
-AgentConfig = SACConfig | PPOConfig | BCConfig
+AgentConfig = (
+    ReinforceConfig
+    | A2CConfig
+    | A3CConfig
+    | TRPOConfig
+    | PPOConfig
+    | PPOKLConfig
+    | DQNConfig
+    | TD3Config
+    | SACConfig
+    | BCConfig
+)
 ALGORITHMS: dict[str, type[AgentConfig]] = {
-    "sac": SACConfig,
+    "reinforce": ReinforceConfig,
+    "a2c": A2CConfig,
+    "a3c": A3CConfig,
+    "trpo": TRPOConfig,
     "ppo": PPOConfig,
+    "ppo-kl": PPOKLConfig,
+    "dqn": DQNConfig,
+    "td3": TD3Config,
+    "sac": SACConfig,
     "bc": BCConfig,
 }
 """Algorithm name -> its options."""
@@ -29,6 +54,7 @@ AT_LEAST_ONE = (
     *("steps", "num_worlds", "horizon", "eval_every", "eval_episodes"),
     *("n_step", "batch_size", "buffer_size", "actor_delay"),
     *("rollout_length", "epochs", "minibatches", "noise_steps"),
+    *("critics", "workers"),
 )
 """Options that count something, of the run and of its algorithm."""
 
@@ -47,7 +73,7 @@ class TrainConfig:
     task: str = "Lift"
     """Task to learn (see `manip list`), or package.module:Task."""
     algo: str = "sac"
-    """Algorithm: sac, ppo, or bc (clones the task's script)."""
+    """Algorithm (see `manip list`)."""
     robot: str = "Panda"
     """Arm (see `manip list`)."""
     controller: Controller = "OSC_POSE"
@@ -94,7 +120,9 @@ class TrainConfig:
     def __post_init__(self) -> None:
         for options in (self, self.agent):
             for name in AT_LEAST_ONE:
-                at_least(1, name, getattr(options, name, 1))
+                value = getattr(options, name, None)
+                if value is not None:
+                    at_least(1, name, value)
         at_least(0, "seed", self.seed)
         for name in ("own_starts", "cool_down"):
             share = getattr(self, name)

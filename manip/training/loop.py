@@ -20,7 +20,7 @@ from manip.training.build import (
     evaluation_env,
     overlaps,
     policy_of,
-    training_env,
+    training_envs,
 )
 from manip.training.checkpoint import Checkpoints, restore, state_of
 from manip.training.config import TrainConfig, check_lasting, lasting, to_dict
@@ -55,11 +55,11 @@ class Trainer:
         self.folder = config.folder
         self.checkpoints = Checkpoints(self.folder)
         _check_folder(self.folder, self.checkpoints, config.resume)
-        self.env = training_env(config)
+        self.envs = training_envs(config)
         self.judge = evaluation_env(config)
-        self.agent = build_agent(config, self.env)
+        self.agent = build_agent(config, self.judge)
         self._guard = Guard(self.agent.optimisers(), config.faults == "stop")
-        self._collector = Collector(self.env, self.agent, overlaps(config))
+        self._collector = Collector(self.envs, self.agent, overlaps(config))
         self._recent: deque[Episode] = deque(maxlen=RECENT)
         self._learned: dict[str, float] = {}
         self.env_steps = 0
@@ -76,7 +76,7 @@ class Trainer:
             UserError: there is nothing to resume, or it was begun with other options;
                 another process is at work in the folder; the disk is full.
         """
-        stages = self.env.worlds.task.stages
+        stages = self.judge.worlds.task.stages
         with locked(self.folder), Interruptible(self._stop):
             rows = self._resume() if self.config.resume else []
             remove_partial(self.folder)
@@ -110,7 +110,7 @@ class Trainer:
 
     def _advance(self) -> None:
         found = self._collector.next()
-        self.env_steps += found.batch.numel()
+        self.env_steps += found.steps
         self._recent.extend(found.episodes)
         self._set_learning_rates()
         self._learned |= self._guard.finite(self.agent.update(found.batch))
@@ -125,8 +125,12 @@ class Trainer:
 
     def _tell_faults(self, progress: TrainingProgress) -> None:
         """Say what went wrong since the last call, as long as that is news."""
-        faults, lost = self.env.worlds.faults, self._guard.lost
-        notes = [f"{faults.popleft()}: its episode is lost" for _ in range(len(faults))]
+        faults, lost = [env.worlds.faults for env in self.envs], self._guard.lost
+        notes = [
+            f"{queue.popleft()}: its episode is lost"
+            for queue in faults
+            for _ in range(len(queue))
+        ]
         notes += [f"{lost.popleft()}: the update is lost" for _ in range(len(lost))]
         for note in notes[: MOST_TOLD - self._told]:
             progress.say(note)
@@ -138,7 +142,7 @@ class Trainer:
 
     def _evaluate(self, progress: TrainingProgress) -> bool:
         """Judge the policy, and keep it if it is the best so far; whether it is."""
-        policy = policy_of(self.agent, self.config, self.env, self.env_steps)
+        policy = policy_of(self.agent, self.config, self.judge, self.env_steps)
         self.judge.worlds.restart()
         found = summarise(
             run_episodes(self.judge, policy, self.config.eval_episodes),
@@ -161,7 +165,8 @@ class Trainer:
     def _record(self, values: dict[str, float], progress: TrainingProgress) -> None:
         speed = progress.speed(self.env_steps)
         row = {"seconds": self.seconds, "steps_per_second": speed}
-        row |= {"broken_worlds": self.env.worlds.broken_count}
+        broken = sum(env.worlds.broken_count for env in self.envs)
+        row |= {"broken_worlds": broken}
         row |= self._training_averages() | values
         row |= {f"learn/{name}": value for name, value in self._learned.items()}
         self._log.write(self.env_steps, row)
@@ -169,13 +174,14 @@ class Trainer:
     def _training_averages(self) -> dict[str, float]:
         if not self._recent:
             return {}
+        names = self.judge.worlds.task.stages
         stages = np.mean([episode.stages for episode in self._recent], axis=0)
         return {
             "train/return": float(np.mean([e.total_reward for e in self._recent])),
             "train/success": float(np.mean([e.at_end for e in self._recent])),
             **{
                 f"train/{name}": float(share)
-                for name, share in zip(self.env.worlds.task.stages, stages, strict=True)
+                for name, share in zip(names, stages, strict=True)
             },
         }
 

@@ -1,0 +1,82 @@
+"""A3C: the gradients of its workers, their age, determinism, learning."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from toy import QUICK_A2C, SPACES, Points, make_agent, mean_return
+
+from manip.agents.a2c import A2C
+from manip.agents.a3c import A3C, A3CConfig
+from manip.training.rollout import Collector
+
+QUICK = A3CConfig(
+    learning_rate=1e-2,
+    gamma=0.9,
+    actor_hidden=(32,),
+    critic_hidden=(32,),
+    workers=3,
+)
+
+
+def run(agent: A2C, workers: int, steps: int) -> A2C:
+    """After so many control steps of 16 points, shared by the workers."""
+    torch.manual_seed(5)
+    size = 16 // workers
+    envs = [Points([20] * size, seed=worker) for worker in range(workers)]
+    collector = Collector(envs, agent, ahead=False)
+    for _ in range(steps // (size * agent.rollout_length)):
+        agent.update(collector.next().batch)
+    return agent
+
+
+def weights(agent: A2C) -> torch.Tensor:
+    return agent._params.data.clone()
+
+
+def test_one_worker_is_a2c() -> None:
+    mine = run(make_agent(replace(QUICK, workers=1), seed=0), 1, 1280)
+    other = run(make_agent(QUICK_A2C, seed=0), 1, 1280)
+    assert torch.equal(weights(mine), weights(other))
+
+
+def test_a_gradient_is_of_the_parameters_that_its_worker_copied() -> None:
+    agent = make_agent(QUICK, seed=0)
+    policy = agent.policy()
+    copied = weights(agent)
+    agent._params.data += 1
+    assert torch.equal(policy.copy._params.data, copied)
+    batch = Points([20] * 4).rollout(8, policy, break_when_any_done=False)
+    found = agent.digest(policy, batch.clone())
+    alone = A2C(QUICK, SPACES)
+    alone.load(policy.copy)
+    alone._max_gradient = 1e9
+    alone.update(batch)
+    torch.testing.assert_close(found["gradient"], alone.gradient)
+
+
+def test_shared_parameters_move_twice_while_one_of_three_works() -> None:
+    agent = make_agent(QUICK, seed=0)
+    seen, moves = [], []
+    policy, update = agent.policy, agent.update
+    agent.policy = lambda: (seen.append(len(moves)), policy())[1]
+    agent.update = lambda batch: (update(batch), moves.append(1))[0]
+    run(agent, 3, 5 * 8 * 6)
+    ages = [taken - begun for taken, begun in enumerate(seen[: len(moves)])]
+    assert ages == [0, 1, 2, 2, 2, 2]
+
+
+def test_threads_do_not_change_a_bit() -> None:
+    first, second = (run(make_agent(QUICK, seed=0), 3, 2400) for _ in range(2))
+    assert torch.equal(weights(first), weights(second))
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_learns_to_go_to_the_goal(seed: int) -> None:
+    assert mean_return(run(make_agent(QUICK, seed), 3, 3200)) > 15.5
+
+
+def test_workers_share_the_norm_of_what_all_have_seen() -> None:
+    agent = run(make_agent(QUICK, seed=0), 3, 5 * 8 * 4)
+    assert isinstance(agent, A3C)
+    assert agent.actor.norm.count == 5 * 8 * 4

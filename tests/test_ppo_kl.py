@@ -1,0 +1,101 @@
+"""PPO-KL: the penalised objective by hand, beta, the reference, learning."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch.distributions import Normal, kl_divergence
+from toy import QUICK_PPO_KL, make_agent, mean_return, rollout_of, train
+
+from manip.agents.policy import Policy, PolicyCard
+from manip.agents.ppo_kl import PPOKL, PPOKLConfig
+from manip.agents.returns import add_values
+from manip.errors import UserError
+
+
+def agent_of(config: PPOKLConfig = QUICK_PPO_KL, seed: int = 0) -> PPOKL:
+    agent = make_agent(config, seed)
+    assert isinstance(agent, PPOKL)
+    return agent
+
+
+def test_the_objective_pays_for_the_distance_to_the_old_policy() -> None:
+    agent = agent_of(replace(QUICK_PPO_KL, beta=3.0))
+    batch = rollout_of(agent).reshape(-1)
+    batch["advantage"], batch["value_target"] = torch.randn(2, len(batch), 1)
+    agent._add_distribution(batch)
+    for parameter in agent.actor.parameters():
+        parameter.data += 0.1 * torch.randn(parameter.shape)
+    old = Normal(batch["loc"], batch["scale"])
+    new = Normal(*agent.actor(batch["observation"]))
+    ratio = (new.log_prob(batch["action"]) - old.log_prob(batch["action"])).exp()
+    advantage = batch["advantage"]
+    advantage = (advantage - advantage.mean()) / advantage.std()
+    expected = (ratio * advantage - 3.0 * kl_divergence(old, new)).mean()
+    found = agent._loss(batch)["loss_objective"]
+    torch.testing.assert_close(found, -expected)
+
+
+@pytest.mark.parametrize(
+    ("target", "factor"), [(0.004, 2.0), (0.01, 1.0), (0.03, 0.5), (None, 1.0)]
+)
+def test_beta_follows_the_divergence_of_an_update(target, factor: float) -> None:
+    """The mean moves by 0.1 and a deviation of e^-0.5: KL = 0.005 e = 0.0136."""
+    agent = agent_of(replace(QUICK_PPO_KL, target_kl=target, beta=4.0))
+    batch = rollout_of(agent).reshape(-1)
+    batch["advantage"], batch["value_target"] = torch.randn(2, len(batch), 1)
+    agent._add_distribution(batch)
+    agent.actor.body[-1].bias.data += 0.1
+    told = agent._adapt(batch)
+    assert told["kl"] == pytest.approx(0.0136, rel=0.01)
+    assert told["beta"] == 4.0 * factor
+
+
+def saved(agent: PPOKL, folder: Path) -> str:
+    card = PolicyCard(
+        task="Reach", robot="Panda", algo="ppo", controller="OSC_POSE",
+        control_freq=20, action_dim=1, layout={"x": [0, 1]}, hidden=[32],
+        squash=False, normalise=True, env_steps=0, seed=0, versions={},
+    )  # fmt: skip
+    Policy(card, agent.actor).save(folder)
+    return str(folder)
+
+
+def test_a_run_starts_from_its_reference_and_pays_for_leaving_it(tmp_path) -> None:
+    trained = agent_of(seed=1)
+    trained.actor.body[-1].bias.data += 0.5
+    reference = saved(trained, tmp_path)
+    config = replace(QUICK_PPO_KL, reference=reference, reference_beta=0.2)
+    agent, state = agent_of(config), torch.linspace(-1, 1, 9)[:, None]
+    assert torch.equal(agent.actor.decide(state), trained.actor.decide(state))
+    assert agent._charge(rollout_of(agent))["kl_reference"] == pytest.approx(0)
+    agent.actor.log_std.data += 0.3
+    batch = rollout_of(agent)
+    paid, observation = batch["next", "reward"].clone(), batch["observation"]
+    agent._charge(batch)
+    policies = [Normal(*actor(observation)) for actor in (agent.actor, trained.actor)]
+    mine, old = (policy.log_prob(batch["action"]) for policy in policies)
+    expected = paid - 0.2 * (mine - old)
+    torch.testing.assert_close(batch["next", "reward"], expected.detach())
+
+
+def test_the_reference_does_not_learn(tmp_path) -> None:
+    config = replace(QUICK_PPO_KL, reference=saved(agent_of(seed=1), tmp_path))
+    agent = agent_of(config)
+    before = {k: v.clone() for k, v in agent._reference.state_dict().items()}
+    agent.update(add_values(rollout_of(agent), agent.critic))
+    after = agent._reference.state_dict()
+    assert all(torch.equal(before[name], after[name]) for name in before)
+    assert not torch.equal(agent.actor.log_std, before["log_std"])
+
+
+def test_a_reference_of_other_networks_is_refused(tmp_path) -> None:
+    reference = saved(agent_of(), tmp_path)
+    with pytest.raises(UserError, match="has other networks than this run"):
+        agent_of(replace(QUICK_PPO_KL, reference=reference, actor_hidden=(16,)))
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_learns_to_go_to_the_goal(seed: int) -> None:
+    assert mean_return(train(QUICK_PPO_KL, seed, steps=3200)) > 15.5
