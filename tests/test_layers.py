@@ -19,7 +19,7 @@ TOWER = (
     {"envs"},
     {"agents", "evaluation"},
     {"training"},
-    {"benchmarks"},
+    {"benchmarks", "studies"},
     {"programs"},
 )
 """Rooms of manip from the bottom up; those of a floor do not know each other."""

@@ -17,6 +17,7 @@ PROGRAMS = {
     "list": "name tasks, robots, algorithms, recipes",
     "doctor": "check that this machine is fit",
     "benchmark": "measure speed",
+    "study": "compare algorithms and their options",
 }
 """Program -> what it does; each is the module of its name in `manip.programs`."""
 

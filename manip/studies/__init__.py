@@ -1,0 +1,1 @@
+"""Studies: what the lesson on policy gradients claims, measured on an arm."""
