@@ -23,7 +23,7 @@ def build(cls: type[Built], values: Any) -> Built:
     hints = get_type_hints(cls)
     for name, value in values.items():
         if name not in hints:
-            raise unknown(f"option of {cls.__name__}", name, hints)
+            raise unknown(f"{cls.__name__} option", name, hints)
         if not _fits(value, hints[name]):
             raise UserError(f"{name} must be {_words(hints[name])}, not {value!r}")
     for field in fields(cls):  # type: ignore[arg-type]

@@ -590,8 +590,8 @@ def test_a_run_folder_is_named_after_what_is_trained() -> None:
     ("values", "told"),
     [
         ({"stepz": 1}, "unknown .*'stepz': did you mean 'steps'.*num_worlds"),
-        ({"agent": {"gama": 1}}, "unknown .*SACConfig 'gama': did you mean 'gamma'"),
-        ({"algo": "ppo", "agent": {"tau": 1}}, "unknown option of PPOConfig.*clip"),
+        ({"agent": {"gama": 1}}, "unknown SACConfig .*'gama': did you mean 'gamma'"),
+        ({"algo": "ppo", "agent": {"tau": 1}}, "unknown PPOConfig option.*clip"),
         ({"algo": "ddqn"}, "unknown algorithm 'ddqn': did you mean 'dqn'.*sac"),
         ({"agent": "fast"}, "must be a mapping, not 'fast'"),
         ({"agent": 3}, "must be a mapping, not 3"),

@@ -227,5 +227,5 @@ def _build(cls: type[Any], values: dict[str, Any]) -> Any:
     known = get_type_hints(cls)
     for name in values:
         if name not in known:
-            raise unknown(f"option of {cls.__name__}", name, known)
+            raise unknown(f"{cls.__name__} option", name, known)
     return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
