@@ -18,6 +18,9 @@ CENTRE = TABLE + np.array([0.0, 0.0, 0.15])
 AROUND = 0.02
 """Distance [m] of the tool from the cube's centre, below which it is around it."""
 
+CENTRED = 0.012
+"""Distance [m] below which it is fully so."""
+
 CUBE = {"cube": "cube_main"}
 PADS = {
     "left_touch": ("left_fingerpad", "cube_main"),
@@ -41,7 +44,7 @@ def measure_cube(read: Measures) -> dict[str, Array]:
     """Add the cube's offset and distance from the tool, its height, its grasp.
 
     to_cube [N, 3] m, distance [N] m, height [N] m above the table; grasped [N] is
-    robosuite's test, held [N] asks that the tool is around the cube, too.
+    robosuite's test, held [N] in [0, 1] falls to 0 as the tool slips off the cube.
     """
     to_cube = read["cube_pos"] - read["eef_pos"]
     distance = np.linalg.norm(to_cube, axis=1)
@@ -52,7 +55,7 @@ def measure_cube(read: Measures) -> dict[str, Array]:
         "distance": distance,
         "height": read["cube_pos"][:, 2] - TABLE[2],
         "grasped": grasped,
-        "held": grasped & (distance < AROUND),
+        "held": grasped * ramp(-distance, -AROUND, -CENTRED),
     }
 
 

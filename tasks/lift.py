@@ -7,8 +7,10 @@ Start: cube centre uniform within +-3 cm of the table's centre, any yaw, 1 cm ab
 Shaped reward, in [0, 1] a step: 0.2 reach + 0.25 grasp + 0.55 lift, where reach is
     1 - tanh(5 d) of the tool-cube distance d [m], grasp rises from 0 to 1 as the
     gripper is told to close, and lift rises linearly over the first 5 cm; both are
-    paid only while both finger pads touch the cube and d < 2 cm. (Without the last
-    condition agents press the pads onto the cube's top, and stay there.)
+    paid only while both finger pads touch the cube, in full where d < 1.2 cm, not at
+    all where d > 2 cm. (Without that condition agents press the pads onto the cube's
+    top, and stay there; where it is a sharp edge, they hold the cube by its top, lose
+    the reward as it slips, and let go.)
 """
 
 from typing import ClassVar

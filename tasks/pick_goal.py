@@ -112,7 +112,7 @@ class PickGoal(Task):
         """near: tool within 3 cm of the cube; lift: held, 3 cm above its rest."""
         return {
             "near": m["distance"] < 0.03,
-            "grasp": m["held"],
-            "lift": m["held"] & (m["height"] - HALF > 0.03),
+            "grasp": m["held"] > 0,
+            "lift": (m["held"] > 0) & (m["height"] - HALF > 0.03),
             "goal": self.success(m),
         }

@@ -6,18 +6,19 @@ Failure: none; an episode ends by time.
 Start: both cubes' centres uniform within +-8 cm of the table's, their circles apart,
     any yaw, 1 cm above the table; arm in its default pose with 0.02 rad noise a joint,
     gripper half open. A's edge is 4 cm, B's 5 cm.
-Shaped reward, in [0, 1] a step: 0.1 reach + 0.1 grasp + 0.1 lift + 0.2 align
-    + 0.15 lower + 0.05 on + 0.1 open + 0.1 release + 0.1 clear. Reach is 1 - tanh(5 d)
-    of the tool-A distance d [m]; grasp rises from 0 to 1 as the gripper is told to
-    close, lift over the first 5 cm, align is lift times 1 - tanh(6 r) of the horizontal
-    distance r [m] to B, and lower rises over the last 5 cm above B, times
-    1 - tanh(25 r); these are paid only while both finger pads touch A and d < 2.5 cm.
-    Once A rests on B they are paid in full with `on`; open grows from 0 to 1 as the
-    gripper is told to open, release is success, and clear rises with it until the tool
-    is 6 cm away. (A held above B earns at most 0.65, A held on B 0.7: agents stay for
-    ever where the next stage pays less, or pays only at its end. Without `open` they
-    let one pad leave A by a hair's breadth, and lose it again; without `clear` the hand
-    stays, and knocks A down.)
+Shaped reward, in [0, 1] a step: 0.08 reach + 0.08 grasp + 0.08 lift + 0.16 align
+    + 0.12 lower + 0.05 on + 0.13 open + 0.15 release + 0.15 clear. Reach is
+    1 - tanh(5 d) of the tool-A distance d [m]; grasp rises from 0 to 1 as the gripper
+    is told to close, lift over the first 5 cm, align is lift times 1 - tanh(6 r) of the
+    horizontal distance r [m] to B, and lower rises over the last 5 cm above B, times
+    1 - tanh(25 r); these are paid only while both finger pads touch A, in full where
+    d < 1.5 cm, not at all where d > 2.5 cm. Once A rests on B they are paid in full
+    with `on`; open grows from 0 to 1 as the gripper is told to open, release is
+    success, and clear rises with it until the tool is 6 cm away. (A held above B earns
+    at most 0.52, A held on B 0.57: agents stay for ever where the next stage pays less,
+    little more, or pays only at its end. Without `open` they let one pad leave A by a
+    hair's breadth, and lose it again; without `clear` the hand stays, and knocks A
+    down.)
 """
 
 from typing import ClassVar
@@ -49,6 +50,8 @@ LIFTED = 0.04
 """Success height [m] of A's centre above the table (ibid.)."""
 AROUND = 0.025
 """Distance [m] of the tool from A's centre, below which it is around it."""
+CENTRED = 0.015
+"""Distance [m] below which it is fully so."""
 CLEAR = 0.06
 """Distance [m] of the tool from A's centre, from which it does not disturb it."""
 STACKED = HALF["cubeA"] + HALF["cubeB"]
@@ -71,15 +74,15 @@ class Stack(Task):
     stages = ("near", "grasp", "lift", "aligned", "on", "stack")
     weights: ClassVar[Weights] = {
         "shaped": {
-            "reach": 0.1,
-            "grasp": 0.1,
-            "lift": 0.1,
-            "align": 0.2,
-            "lower": 0.15,
+            "reach": 0.08,
+            "grasp": 0.08,
+            "lift": 0.08,
+            "align": 0.16,
+            "lower": 0.12,
             "on": 0.05,
-            "open": 0.1,
-            "release": 0.1,
-            "clear": 0.1,
+            "open": 0.13,
+            "release": 0.15,
+            "clear": 0.15,
         },
         "stock": {
             "reach": 0.125,
@@ -105,8 +108,8 @@ class Stack(Task):
 
         to_a [N, 3] m from the tool, distance [N] m; from_b [N, 3] m of A's centre,
         aside [N] m its horizontal part; height [N] m of A's centre above the table;
-        grasped [N] is robosuite's test, held [N] asks that the tool is around A, too;
-        on [N]: A rests on B, and B on the table.
+        grasped [N] is robosuite's test, held [N] in [0, 1] falls to 0 as the tool slips
+        off A; on [N]: A rests on B, and B on the table.
         """
         to_a, from_b = read["a_pos"] - read["eef_pos"], read["a_pos"] - read["b_pos"]
         distance = np.linalg.norm(to_a, axis=1)
@@ -119,7 +122,7 @@ class Stack(Task):
             "aside": np.linalg.norm(from_b[:, :2], axis=1),
             "height": read["a_pos"][:, 2] - TABLE[2],
             "grasped": grasped,
-            "held": grasped & (distance < AROUND),
+            "held": grasped * ramp(-distance, -AROUND, -CENTRED),
         }
         return {**m, "on": _rests_on_b(m)}
 
@@ -182,10 +185,10 @@ class Stack(Task):
 
     def reached(self, m: Measures) -> dict[str, Array]:
         """near: tool within 3 cm of A; lift: by 3 cm; aligned: 3 cm beside B; on."""
-        lifted = m["held"] & (m["height"] - HALF["cubeA"] > 0.03)
+        lifted = (m["held"] > 0) & (m["height"] - HALF["cubeA"] > 0.03)
         return {
             "near": m["distance"] < 0.03,
-            "grasp": m["held"],
+            "grasp": m["held"] > 0,
             "lift": lifted,
             "aligned": lifted & (m["aside"] < 0.03),
             "on": m["on"],
