@@ -83,7 +83,7 @@ class Lift(Task):
         return {
             "reach": near(m["distance"], 0.2),
             "grasp": closing(m),
-            "lift": m["held"] * ramp(m["height"] - REST, 0.0, 0.05),
+            "lift": m["grasped"] * ramp(m["height"] - REST, 0.0, 0.05),
         }
 
     def success(self, m: Measures) -> Array:
