@@ -4,13 +4,13 @@ Success: the cube's centre is more than 4 cm above the table top (robosuite's te
 Failure: none; an episode ends by time.
 Start: cube centre uniform within +-3 cm of the table's centre, any yaw, 1 cm above the
     table; arm in its default pose with 0.02 rad noise a joint, gripper half open.
-Shaped reward, in [0, 1] a step: 0.2 reach + 0.25 grasp + 0.55 lift, where reach is
-    1 - tanh(5 d) of the tool-cube distance d [m], grasp rises from 0 to 1 as the
-    gripper is told to close, and lift rises linearly over the first 5 cm; both are
-    paid only while both finger pads touch the cube, in full where d < 1.2 cm, not at
-    all where d > 2 cm. (Without that condition agents press the pads onto the cube's
-    top, and stay there; where it is a sharp edge, they hold the cube by its top, lose
-    the reward as it slips, and let go.)
+Shaped reward, in [0, 1] a step: 0.2 reach + 0.25 grasp + 0.55 lift. Reach is
+    1 - tanh(5 d) of the tool-cube distance d [m]; lift rises linearly over the first
+    5 cm, while both finger pads touch the cube. Grasp rises from 0 to 1 as the gripper
+    is told to close while they do, in full where d < 1.2 cm, not at all where d > 2 cm.
+    (Paid for the pads' touch alone, agents press them onto the cube's top, and stay
+    there; paid with a sharp edge at 2 cm, or with lift bound to it, too, they hold the
+    cube by its top, lose the reward as it slips, and let go.)
 """
 
 from typing import ClassVar

@@ -42,9 +42,9 @@ def test_push_pays_as_its_docstring_says() -> None:
     tool = cube + np.outer([0.2, 0, 0, 0, 0], [0, 1, 0])
     task = Push()
     m = task.measure(readings(cube, goal, tool, [0, 0, 1, 1, 1]))
-    near = 0.35 * (1 - np.tanh(0.3))
-    empty = [0.125 * FAR + 0.35 * FAR, 0.125 + 0.35 * FAR]
-    shaped = [*empty, 0.25 + near + 0.4 * 0.1, 1, 0.25]
+    near = 0.3 * (1 - np.tanh(0.3))
+    empty = [0.15 * FAR + 0.3 * FAR, 0.15 + 0.3 * FAR]
+    shaped = [*empty, 0.35 + near + 0.35 * 0.1, 1, 0.35]
     np.testing.assert_allclose(paid(task, m, "shaped"), shaped)
     assert task.success(m).tolist() == [False, False, False, True, False]
     far, middle = 1 - np.tanh(2), 1 - np.tanh(0.6)

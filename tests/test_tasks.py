@@ -384,9 +384,9 @@ def test_stack_pays_as_its_docstring_says_and_more_each_stage() -> None:
     m = task.measure(read)
     shaped = weighted_sum(task.reward_terms(m, "shaped"), task.weights["shaped"])
     aside, tanh = 0.2, np.tanh
-    half_up = 0.2 + 0.05 + 0.1 * (1 - tanh(6 * aside))
-    held = [0.1 * (1 - tanh(1)), 0.1, 0.2, half_up, 0.5, 0.5 + 0.147]
-    np.testing.assert_allclose(shaped, [*held, 0.7, 0.75, 1])
+    half_up = 0.16 + 0.04 + 0.08 * (1 - tanh(6 * aside))
+    held = [0.08 * (1 - tanh(1)), 0.08, 0.16, half_up, 0.4, 0.4 + 0.1176]
+    np.testing.assert_allclose(shaped, [*held, 0.57, 0.635, 1])
     assert (np.diff(shaped) > 0).all()
     assert task.success(m).tolist() == [False] * 8 + [True]
     stock = weighted_sum(task.reward_terms(m, "stock"), task.weights["stock"])
@@ -395,22 +395,24 @@ def test_stack_pays_as_its_docstring_says_and_more_each_stage() -> None:
 
 
 def test_lift_pays_as_its_docstring_says() -> None:
-    height = np.array([0.021, 0.021, 0.0399, 0.0401, 0.2])
+    height = np.array([0.021, 0.021, 0.0399, 0.0401, 0.2, 0.021, 0.2])
     cube = np.outer(0.8 + height, [0, 0, 1])
+    above = [0.2, 0, 0, 0, 0.012, 0.018, 0.021]
     read = {
         "cube_pos": cube,
-        "eef_pos": cube + np.outer([0.2, 0, 0, 0, 0], [0, 0, 1]),
-        "left_touch": np.array([1.0, 0, 1, 1, 1]),
-        "right_touch": np.array([0.0, 0, 1, 1, 1]),
-        "gripper_closing": np.ones(5),
+        "eef_pos": cube + np.outer(above, [0, 0, 1]),
+        "left_touch": np.array([1.0, 0, 1, 1, 1, 1, 1]),
+        "right_touch": np.array([0.0, 0, 1, 1, 1, 1, 1]),
+        "gripper_closing": np.ones(7),
     }
     task = Lift()
     m = task.measure(read)
     terms = task.reward_terms(m, "shaped")
-    np.testing.assert_allclose(terms["reach"], [1 - np.tanh(1), 1, 1, 1, 1])
-    np.testing.assert_allclose(terms["grasp"], [0, 0, 1, 1, 1])
-    np.testing.assert_allclose(terms["lift"], [0, 0, 0.378, 0.382, 1])
-    assert task.success(m).tolist() == [False, False, False, True, True]
+    np.testing.assert_allclose(terms["reach"], 1 - np.tanh(5 * np.array(above)))
+    np.testing.assert_allclose(terms["grasp"], [0, 0, 1, 1, 1, 0.25, 0], atol=1e-9)
+    np.testing.assert_allclose(terms["lift"], [0, 0, 0.378, 0.382, 1, 0, 1], atol=1e-9)
+    assert task.success(m).tolist() == [False] * 3 + [True] * 2 + [False, True]
     stock = weighted_sum(task.reward_terms(m, "stock"), task.weights["stock"])
-    expected = [(1 - np.tanh(2)) / 2.25, 1 / 2.25, 1.25 / 2.25, 1, 1]
+    low = (1.25 - np.tanh(0.18)) / 2.25
+    expected = [(1 - np.tanh(2)) / 2.25, 1 / 2.25, 1.25 / 2.25, 1, 1, low, 1]
     np.testing.assert_allclose(stock, expected)
