@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from numbers import Integral
 
 
 class UserError(ValueError):
@@ -14,8 +15,9 @@ class DamagedError(UserError):
 
 def at_least(least: int, name: str, value: object) -> None:
     """Raise `UserError` unless the value is a whole number of at least `least`."""
-    if not isinstance(value, int) or value < least:
-        raise UserError(f"{name} must be at least {least}, not {value!r}")
+    if not isinstance(value, Integral) or value < least:
+        said = " ".join(repr(value).split())[:80]
+        raise UserError(f"{name} must be at least {least}, not {said}")
 
 
 def one_line(error: Exception) -> str:

@@ -1,8 +1,8 @@
 """Dataclasses from the plain values of a file, checked against their annotations."""
 
+import sys
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
-from math import isfinite
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
@@ -10,6 +10,9 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 from manip.errors import UserError, unknown
 
 Built = TypeVar("Built")
+
+LARGEST = sys.float_info.max
+"""What is larger, or NaN, is no number."""
 
 
 def build(cls: type[Built], values: Any) -> Built:
@@ -49,7 +52,7 @@ def _fits(value: Any, hint: Any) -> bool:
             )
         case kind if kind in (int, float):
             number = isinstance(value, int | kind) and not isinstance(value, bool)
-            return number and isfinite(value)
+            return number and abs(value) <= LARGEST
         case kind:
             return isinstance(value, kind)
 

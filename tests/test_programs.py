@@ -222,6 +222,12 @@ def refusal(found: Result) -> str:
         ("train --num-worlds 0", "num_worlds must be at least 1, not 0"),
         ("train --threads 0", "threads must be at least 1, not 0"),
         ("train --seed -1", "seed must be at least 0, not -1"),
+        (
+            "train --agent.learning-rate nan",
+            "learning_rate must be at least 0, not nan",
+        ),
+        ("train --agent.actor-hidden -3", "actor_hidden must be at least 1, not -3"),
+        ("train --num-worlds 10000000000 --steps 1", "not enough memory"),
         ("train --stepz 3", "Unrecognized options: --stepz.*--steps INT"),
         ("train --agent.gama 1", "Unrecognized options: --agent.gama.*--agent.gamma"),
         ("train --algo ppo --agent.tau 1", "Unrecognized options: --agent.tau, 1"),
@@ -268,7 +274,9 @@ def test_mistakes_about_pictures_name_what_exists(manip: Manip, run: Path) -> No
         ("{", "is damaged: "),
         ("just text", "is damaged: it holds no options"),
         ("stepz: 3", "did you mean 'steps'"),
-        ("steps: many", "steps must be at least 1, not 'many'"),
+        ("steps: many", "steps must be a whole number, not 'many'"),
+        ("task: [3]", "task must be text, not [3]"),
+        ("task: '..:x'", "cannot import task '..:x': TypeError: "),
     ],
 )
 def test_a_damaged_config_is_told_when_resuming(text, told, manip, tmp_path) -> None:
@@ -276,6 +284,15 @@ def test_a_damaged_config_is_told_when_resuming(text, told, manip, tmp_path) -> 
     folder.mkdir()
     (folder / "config.yaml").write_text(text)
     assert told in refusal(manip("train", "--resume", "--out", str(folder)))
+
+
+def test_too_little_memory_is_told(capsys) -> None:
+    def greedy(arguments: object) -> int:
+        raise MemoryError("Unable to allocate 12. TiB")
+
+    assert cli.run(greedy, []) == 2
+    told = "manip: error: not enough memory: Unable to allocate 12. TiB\n"
+    assert capsys.readouterr().err == told
 
 
 def test_a_damaged_policy_is_told(manip: Manip, run: Path, tmp_path: Path) -> None:

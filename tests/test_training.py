@@ -597,7 +597,7 @@ def test_a_run_folder_is_named_after_what_is_trained() -> None:
         ({"agent": 3}, "must be a mapping, not 3"),
         ({"steps": 0}, "steps must be at least 1, not 0"),
         ({"eval_every": -1}, "eval_every must be at least 1, not -1"),
-        ({"num_worlds": "four"}, "num_worlds must be at least 1, not 'four'"),
+        ({"num_worlds": "four"}, "num_worlds must be a whole number, not 'four'"),
         ({"agent": {"batch_size": 0}}, "batch_size must be at least 1, not 0"),
         ({"seed": -1}, "seed must be at least 0, not -1"),
         ({"own_starts": 1.5}, "own_starts must be from 0 to 1, not 1.5"),

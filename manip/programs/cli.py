@@ -56,6 +56,9 @@ def run(program: Program, arguments: Sequence[str]) -> int:
     except OSError as error:
         print(f"manip: error: {one_line(error)}", file=sys.stderr)
         return 2
+    except MemoryError as error:
+        print(f"manip: error: not enough memory: {one_line(error)}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("manip: interrupted", file=sys.stderr)
         return 130

@@ -4,7 +4,7 @@ import dataclasses
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal, get_type_hints
+from typing import Any, Literal
 
 import yaml
 
@@ -19,8 +19,10 @@ from manip.agents.sac import SACConfig
 from manip.agents.td3 import TD3Config
 from manip.agents.trpo import TRPOConfig
 from manip.envs.registry import task_names
-from manip.errors import UserError, at_least, unknown
+from manip.errors import UserError, unknown
+from manip.plain import build
 from manip.sim.model import Fidelity
+from manip.training.limits import check_options
 
 AgentConfig = (
     ReinforceConfig
@@ -49,15 +51,6 @@ ALGORITHMS: dict[str, type[AgentConfig]] = {
 """Algorithm name -> its options."""
 
 Controller = Literal["OSC_POSE", "OSC_POSITION", "JOINT_POSITION", "JOINT_VELOCITY"]
-
-AT_LEAST_ONE = (
-    *("steps", "num_worlds", "horizon", "eval_every", "eval_episodes"),
-    *("n_step", "batch_size", "buffer_size", "actor_delay"),
-    *("rollout_length", "epochs", "minibatches", "noise_steps"),
-    *("critics", "workers"),
-)
-"""Options that count something, of the run and of its algorithm."""
-
 
 MAY_CHANGE = {
     *("out", "resume", "steps", "threads", "wandb"),
@@ -118,16 +111,8 @@ class TrainConfig:
     """Options of the algorithm."""
 
     def __post_init__(self) -> None:
-        for options in (self, self.agent):
-            for name in AT_LEAST_ONE:
-                value = getattr(options, name, None)
-                if value is not None:
-                    at_least(1, name, value)
-        at_least(0, "seed", self.seed)
-        for name in ("own_starts", "cool_down"):
-            share = getattr(self, name)
-            if not 0 <= share <= 1:
-                raise UserError(f"{name} must be from 0 to 1, not {share}")
+        check_options(self)
+        check_options(self.agent)
 
     @property
     def folder(self) -> Path:
@@ -210,22 +195,11 @@ def from_dict(values: dict[str, Any]) -> TrainConfig:
     """The configuration of plain values.
 
     Raises:
-        UserError: unknown algorithm or option.
+        UserError: unknown algorithm or option, or a value that it cannot have.
     """
-    algo = values.get("algo", "sac")
-    if algo not in ALGORITHMS:
+    algo, out = values.get("algo", "sac"), values.get("out")
+    if algo not in (*ALGORITHMS,):
         raise unknown("algorithm", algo, ALGORITHMS)
-    agent = _build(ALGORITHMS[algo], values.get("agent") or {})
-    out = values.get("out")
-    rest = values | {"agent": agent, "out": Path(out) if out else None}
-    return _build(TrainConfig, rest)
-
-
-def _build(cls: type[Any], values: dict[str, Any]) -> Any:
-    if not isinstance(values, dict):
-        raise UserError(f"options of {cls.__name__} must be a mapping, not {values!r}")
-    known = get_type_hints(cls)
-    for name in values:
-        if name not in known:
-            raise unknown(f"{cls.__name__} option", name, known)
-    return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+    agent = build(ALGORITHMS[algo], values.get("agent") or {})
+    rest = values | {"agent": agent, "out": Path(out) if isinstance(out, str) else out}
+    return build(TrainConfig, rest)

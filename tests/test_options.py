@@ -1,0 +1,127 @@
+"""Options, whoever gives them and whatever they hold: an agent, or one line."""
+
+from dataclasses import fields, replace
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
+
+import pytest
+import yaml
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from manip.agents.agent import Spaces
+from manip.errors import UserError
+from manip.training.build import AGENTS
+from manip.training.config import ALGORITHMS, TrainConfig, from_dict, to_dict
+from manip.training.limits import RANGES
+
+SPACES = Spaces(observation_dim=5, action_dim=7)
+
+DATACLASSES = [TrainConfig, *ALGORITHMS.values()]
+
+SMALL = {
+    *("steps", "num_worlds", "horizon", "eval_every", "eval_episodes", "threads"),
+    *("n_step", "batch_size", "buffer_size", "actor_delay", "critics", "workers"),
+    *("rollout_length", "epochs", "minibatches", "noise_steps", "bins"),
+    *("actor_hidden", "critic_hidden"),
+}
+"""Options that cost memory or time as they grow."""
+
+odd = (
+    st.none()
+    | st.booleans()
+    | st.integers(-(10**400), 10**400)
+    | st.floats()
+    | st.text(max_size=8)
+    | st.lists(st.integers(-1, 9) | st.floats() | st.text(max_size=3), max_size=3)
+    | st.dictionaries(st.text(max_size=3) | st.integers(), st.integers(), max_size=2)
+)
+"""What a hand, or a damaged file, may write where an option should be."""
+
+
+def kinds(cls: type, name: str) -> set[Any]:
+    """Types of number that an option may be, or hold."""
+    hint = get_type_hints(cls)[name]
+    parts = get_args(hint) if isinstance(hint, UnionType) else (hint,)
+    held = [get_args(p)[0] if get_origin(p) is tuple else p for p in parts]
+    return {kind for kind in held if kind in (int, float)}
+
+
+def numbers(cls: type) -> list[str]:
+    return [field.name for field in fields(cls) if kinds(cls, field.name)]
+
+
+@pytest.mark.parametrize("cls", DATACLASSES)
+def test_every_number_has_a_range_that_its_default_keeps(cls: type) -> None:
+    assert set(numbers(cls)) <= set(RANGES)
+    cls()
+
+
+def test_no_range_is_of_an_option_that_is_not() -> None:
+    assert set(RANGES) == {name for cls in DATACLASSES for name in numbers(cls)}
+
+
+@st.composite
+def likely(draw: st.DrawFn, cls: type, name: str) -> Any:
+    """A value at, in or just out of an option's range, of the right type or not."""
+    least, most = RANGES[name]
+    most = min(most, 9) if name in SMALL else most
+    number = st.sampled_from([least, most, least - 1, most + 1])
+    if float in kinds(cls, name):
+        number |= st.floats(least, most) | st.sampled_from([float("nan"), 1e300])
+    else:
+        number |= st.integers(int(least), int(most))
+    many = get_origin(get_type_hints(cls)[name]) is tuple
+    return draw(st.lists(number, max_size=3) if many else number)
+
+
+@st.composite
+def configurations(draw: st.DrawFn) -> dict[str, Any]:
+    """A configuration of which two options or so are not as they should be."""
+    algo = draw(st.sampled_from(sorted(ALGORITHMS)))
+    cls = ALGORITHMS[algo]
+    values: dict[str, Any] = {"algo": algo, "agent": {}}
+    for name in draw(st.lists(st.sampled_from(numbers(cls)), max_size=3)):
+        values["agent"][name] = draw(likely(cls, name) | odd)
+    for field in draw(st.lists(st.sampled_from(fields(TrainConfig)), max_size=2)):
+        if field.name not in ("agent", "algo"):
+            values[field.name] = draw(odd)
+    return values
+
+
+patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+
+
+def built(values: dict[str, Any]) -> TrainConfig | str:
+    """The configuration, if an agent can be built by it, or why it cannot."""
+    try:
+        config = from_dict(values)
+        AGENTS[type(config.agent)](config.agent, SPACES)
+    except UserError as error:
+        return str(error)
+    return config
+
+
+def assert_built_or_refused(values: dict[str, Any]) -> None:
+    config = built(values)
+    if isinstance(config, str):
+        assert "\n" not in config
+        return
+    written = yaml.safe_load(yaml.safe_dump(to_dict(config)))
+    assert from_dict(written) == replace(config, out=config.folder)
+
+
+@settings(patient, max_examples=60)
+@given(configurations() | st.fixed_dictionaries({"algo": odd, "agent": odd}))
+@example({"out": 3})
+@example({"task": 3})
+@example({3: 4, None: 5})
+def test_any_configuration_is_built_or_refused_in_a_line(values) -> None:
+    assert_built_or_refused(values)
+
+
+@pytest.mark.slow
+@settings(patient, max_examples=3000)
+@given(configurations())
+def test_thousands_of_configurations_are_built_or_refused(values) -> None:
+    assert_built_or_refused(values)
