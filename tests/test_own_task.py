@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from twin import copy_start
 
 from manip.agents.policy import load_policy
@@ -18,6 +20,7 @@ from manip.envs.native import NativeWorlds
 from manip.envs.registry import load_task, task_names
 from manip.envs.stock import StockWorlds
 from manip.envs.task import Start, Task
+from manip.envs.worlds import Moment
 from manip.errors import UserError
 from manip.evaluation import evaluate as evaluation
 from manip.programs import cli, main
@@ -219,10 +222,91 @@ def test_a_wrong_part_is_told_when_its_worlds_are_built(
     assert "\n" not in str(error.value)
 
 
-def test_an_error_inside_a_task_stays_what_it_is(press: Task, scene: Scene) -> None:
-    wrong = type("Mine", (type(press),), {"observe": lambda task, m: {}["depth"]})()
-    with pytest.raises(KeyError, match="depth"):
+def fails(task: Task, m: Any) -> Any:
+    raise ArithmeticError("so\nsad")
+
+
+@pytest.mark.parametrize("method", ["measure", "observe", "success", "remember"])
+def test_an_error_inside_a_task_is_told_with_its_place(method, press, scene) -> None:
+    wrong = type("Mine", (type(press),), {method: fails, "__module__": __name__})()
+    line = fails.__code__.co_firstlineno + 1
+    told = f"task 'Mine': ArithmeticError: so sad (test_own_task.py, line {line})"
+    with pytest.raises(UserError) as error:
         NativeWorlds(wrong, 3, scene=scene, threads=1)
+    assert str(error.value) == told
+
+
+def test_an_error_in_a_later_step_is_told(press: Task, scene: Scene) -> None:
+    wrong = type("Mine", (type(press),), {})()
+    worlds = NativeWorlds(wrong, 3, scene=scene, threads=1)
+    worlds.begin(np.arange(3))
+    wrong.observe = lambda m: {"depth": m["depth"]}
+    with pytest.raises(UserError, match="task 'Mine': "):
+        worlds.step(np.zeros((3, 7)))
+
+
+PARTS = ("measure", "observe", "reward_terms", "success", "failure", "remember")
+PARTS += ("reached", "sample_start", "horizon", "weights", "stages", "sensors")
+
+arrays = st.builds(
+    np.full,
+    st.sampled_from([(), (3,), (3, 1), (3, 7), (2, 10), (2,), (3, 0), (1, 3, 1)]),
+    st.sampled_from([0.0, np.nan, np.inf, 1e39, 1, True, "x", None, 1j]),
+)
+names = st.sampled_from(["arm", "near", "press", "socket_place", "shaped", 3, ""])
+anything = arrays | st.none() | st.integers(-1, 3) | st.just("near") | st.floats()
+anything |= st.lists(anything, max_size=2) | st.dictionaries(names, anything)
+given_back = anything | st.builds(Start, anything, st.dictionaries(names, anything))
+
+
+def played(task: Task, scene: Scene) -> list[Moment] | str:
+    """What is seen of three worlds at first and after a step, or what is told."""
+    try:
+        worlds = NativeWorlds(task, 3, scene=scene, threads=1)
+        worlds.begin(np.arange(3))
+        return [worlds.look(), worlds.step(np.zeros((3, 7)))]
+    except UserError as error:
+        return str(error)
+
+
+@settings(
+    deadline=None,
+    max_examples=80,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
+@given(part=st.sampled_from(PARTS), value=given_back)
+def test_whatever_a_task_gives_is_right_or_told_in_a_line(
+    part: str, value: Any, press: Task, scene: Scene
+) -> None:
+    data = part in ("horizon", "weights", "stages", "sensors")
+    body = value if data else lambda task, *given: value
+    moments = played(type("Odd", (type(press),), {part: body})(), scene)
+    if isinstance(moments, str):
+        assert "\n" not in moments
+        return
+    for moment in moments:
+        assert moment.observation.dtype == np.float32
+        assert np.isfinite(moment.observation).all()
+        assert moment.reward.shape == (3,)
+        assert np.isfinite(moment.reward).all()
+        assert moment.done.dtype == moment.success.dtype == bool
+
+
+@pytest.mark.parametrize(
+    ("source", "told"),
+    [
+        ("class Odd(", "SyntaxError: '(' was never closed (odd.py, line 1)"),
+        ("1 / 0", "ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_module_that_cannot_be_imported_is_told(
+    source: str, told: str, tmp_path: Path, monkeypatch
+) -> None:
+    (tmp_path / "odd.py").write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(UserError) as error:
+        load_task("odd:Odd")
+    assert str(error.value) == f"cannot import task 'odd:Odd': {told}"
 
 
 def test_a_task_without_its_numbers_is_told(press: Task, monkeypatch) -> None:

@@ -4,17 +4,45 @@ A user's task that gives something else is told so in one line, which names the 
 and the part, instead of failing somewhere in the training loop.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+import sys
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from manip.envs.streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Task
-from manip.errors import UserError, unknown
+from manip.errors import UserError, at_least, one_line, unknown
 from manip.sim.model import Scene
 
 Array = np.ndarray
+
+
+@contextmanager
+def blamed(task: Task) -> Iterator[None]:
+    """While inside, what a task's code raises is told in one line, with its place.
+
+    Raises:
+        UserError: instead of any other exception.
+    """
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:
+        told = f"{type(error).__name__}: {one_line(error)}"
+        raise UserError(f"{_of(task)} {told} ({_place(task, error)})") from error
+
+
+def _place(task: Task, error: Exception) -> str:
+    """The last line of the task's own file that led to an error."""
+    file = getattr(sys.modules.get(type(task).__module__), "__file__", None)
+    frames = traceback.extract_tb(error.__traceback__)
+    last = ([frame for frame in frames if frame.filename == file] or frames)[-1]
+    return f"{Path(last.filename).name}, line {last.lineno}"
 
 
 def check_task(task: Task, read: Measures, worlds: int) -> None:
@@ -23,6 +51,7 @@ def check_task(task: Task, read: Measures, worlds: int) -> None:
     Raises:
         UserError: a part has the wrong name, shape or kind of numbers.
     """
+    at_least(1, f"{_of(task)} horizon", task.horizon)
     m = _ask_named(task, "measure()", read, task.measure)
     for name, part in _ask_named(task, "observe()", m, task.observe).items():
         _check_part(f"{_of(task)} observe() part {name!r}", part, worlds)
@@ -48,12 +77,12 @@ def check_start(task: Task, scene: Scene) -> None:
     if not isinstance(start, Start):
         kind = type(start).__name__
         raise UserError(f"{where} gives {kind}, not Start(qpos, fields)")
-    _check_shape(f"{where} qpos", start.qpos, (2, scene.physics.nq))
+    _check_start(f"{where} qpos", start.qpos, (2, scene.physics.nq))
     sizes = {slot.name: slot.size for slot in scene.handles.fields}
     for name, values in start.fields.items():
         if name not in sizes:
             raise UserError(f"{where}: {unknown('field', name, sizes)}")
-        _check_shape(f"{where} field {name!r}", values, (2, sizes[name]))
+        _check_start(f"{where} field {name!r}", values, (2, sizes[name]))
 
 
 def _of(task: Task) -> str:
@@ -92,14 +121,14 @@ def _check_rewards(task: Task, reward: str, m: Measures, worlds: int) -> None:
         f"{_of(task)} {where}", terms, f"weights[{reward!r}]", task.weights[reward]
     )
     for name, term in terms.items():
-        _check_shape(f"{_of(task)} {where} term {name!r}", term, (worlds,))
+        _check_numbers(f"{_of(task)} {where} term {name!r}", term, (worlds,))
 
 
 def _check_memory(task: Task, memory: Mapping[str, Any], worlds: int) -> None:
     where, sizes = f"{_of(task)} remember()", task.sensors.memory
     _check_names(where, memory, "sensors.memory", sizes)
     for name, values in memory.items():
-        _check_shape(f"{where} {name!r}", values, (worlds, sizes[name]))
+        _check_numbers(f"{where} {name!r}", values, (worlds, sizes[name]))
 
 
 def _check_names(
@@ -121,6 +150,19 @@ def _check_part(where: str, part: Any, worlds: int) -> None:
     if len(shape) != 2 or shape[0] != worlds:
         raise UserError(f"{where} has shape {shape}, not ({worlds}, k): a row a world")
     _check_kind(where, part, np.floating, "floating-point numbers")
+
+
+def _check_start(where: str, values: Any, expected: tuple[int, ...]) -> None:
+    _check_numbers(where, values, expected)
+    if not np.isfinite(values).all():
+        raise UserError(f"{where} holds numbers that are not finite")
+
+
+def _check_numbers(where: str, values: Any, expected: tuple[int, ...]) -> None:
+    _check_shape(where, values, expected)
+    kind = np.asarray(values).dtype
+    if not np.can_cast(kind, np.float64, "same_kind"):
+        raise UserError(f"{where} holds {kind}, not numbers")
 
 
 def _check_flags(where: str, flags: Any, worlds: int) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from manip.envs.bank import EVERY, StateBank
-from manip.envs.check import check_start
+from manip.envs.check import blamed, check_start
 from manip.envs.faults import Fault
 from manip.envs.others import OtherTask
 from manip.envs.streams import EpisodeStreams
@@ -66,13 +66,15 @@ class NativeWorlds(Worlds):
     ) -> None:
         if isinstance(task, OtherTask):
             raise UserError(f"{task.name} is not on the batch engine")
-        self.scene = scene or load_scene(
-            task.robosuite_name, task.sensors, robot, controller, control_freq, fidelity
-        )
+        with blamed(task):
+            self.scene = scene or load_scene(
+                *(task.robosuite_name, task.sensors, robot, controller),
+                *(control_freq, fidelity),
+            )
+            stages = len(task.stages)
         self.engine = BatchEngine(self.scene, num_worlds, threads)
         self._stagger = stagger
         self._own_starts = own_starts
-        stages = len(task.stages)
         self._bank = StateBank(stages, self.engine.save()) if own_starts else None
         self._rig = {
             "robot": robot,
@@ -84,7 +86,8 @@ class NativeWorlds(Worlds):
         self._before = self.engine.save(), np.zeros(0)
         action_dim = self.scene.handles.action_dim
         super().__init__(task, num_worlds, action_dim, horizon, reward, seed)
-        check_start(task, self.scene)
+        with blamed(task):
+            check_start(task, self.scene)
 
     def read(self) -> Measures:
         """As `BatchEngine.read`."""

@@ -2,13 +2,15 @@
 
 import importlib
 import sys
+from collections.abc import Callable
+from functools import partial
 from importlib.metadata import entry_points
 from inspect import get_annotations
 from pathlib import Path
 
 from manip.envs.others import load_other
 from manip.envs.task import Task
-from manip.errors import UserError, unknown
+from manip.errors import UserError, one_line, unknown
 
 GROUP = "manip.tasks"
 """Entry-point group under which a package offers its tasks."""
@@ -29,22 +31,27 @@ def load_task(name: str) -> Task:
     """
     found = {point.name: point for point in entry_points(group=GROUP)}
     if name in found:
-        return _checked(name, found[name].load())
+        return _checked(name, _import(name, found[name].load))
     if ":" in name:
-        return _checked(name, _import(name))
+        return _checked(name, _import(name, partial(_find, name)))
     if "/" in name:
         return load_other(name)
     raise unknown("task", name, found)
 
 
-def _import(path: str) -> object:
+def _find(path: str) -> object:
     module, _, attribute = path.partition(":")
     if str(Path.cwd()) not in sys.path:
         sys.path.append(str(Path.cwd()))  # as `python -m` does
+    return getattr(importlib.import_module(module), attribute)
+
+
+def _import(name: str, load: Callable[[], object]) -> object:
     try:
-        return getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise UserError(f"cannot import task {path!r}: {error}") from error
+        return load()
+    except Exception as error:  # a module may raise anything
+        told = f"{type(error).__name__}: {one_line(error)}"
+        raise UserError(f"cannot import task {name!r}: {told}") from error
 
 
 def _checked(name: str, cls: object) -> Task:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from manip.envs.check import check_task
+from manip.envs.check import blamed, check_task
 from manip.envs.faults import Fault, not_finite
 from manip.envs.task import Measures, Task
 from manip.errors import UserError
@@ -75,17 +75,20 @@ class Worlds(ABC):
         reward: str,
         seed: int,
     ) -> None:
-        check_choice("reward", reward, tuple(task.weights))
+        with blamed(task):
+            check_choice("reward", reward, tuple(task.weights))
+            self.reward_names = tuple(task.weights[reward])
         self.task = task
         self.num_worlds = num_worlds
         self.action_dim = action_dim
         self.horizon = horizon or task.horizon
         self.reward_set = reward
-        self.reward_names = tuple(task.weights[reward])
         self.elapsed = np.zeros(num_worlds, dtype=np.int64)
         self.faults: deque[Fault] = deque(maxlen=1000)
-        check_task(task, self.read(), num_worlds)
-        self.layout = _layout(task.observe(task.measure(self.read())))
+        self._lost = np.zeros(num_worlds, bool)
+        with blamed(task):
+            check_task(task, self.read(), num_worlds)
+            self.layout = _layout(task.observe(task.measure(self.read())))
         width = max(part.stop for part in self.layout.values())
         self._seen = np.zeros((num_worlds, width), np.float32)
         self.seed = seed
@@ -140,8 +143,9 @@ class Worlds(ABC):
         self.episode[worlds] += 1
         self.elapsed[worlds] = 0
         if len(worlds):
-            self._start_episodes(worlds)
-            self._remember(worlds)
+            with blamed(self.task):
+                self._start_episodes(worlds)
+                self._remember(worlds)
 
     def step(self, action: Array) -> Moment:
         """Advance all worlds by one control step of action [N, A] in [-1, 1]."""
@@ -150,14 +154,23 @@ class Worlds(ABC):
         if broken.any():
             ill = broken & np.isnan(action).any(axis=1)
             self._note([("action", ill), ("physics", broken & ~ill)])
-        moment = self._moment((self.elapsed >= self.horizon) | broken)
-        self._remember(np.flatnonzero(~broken))
+        with blamed(self.task):
+            moment = self._moment((self.elapsed >= self.horizon) | broken)
+            self._remember(np.flatnonzero(~broken))
         return moment
 
     def look(self) -> Moment:
-        """The worlds as they are now, as an episode begins: nothing has ended."""
+        """The worlds as they are now, as an episode begins: nothing has ended.
+
+        Raises:
+            UserError: nothing that is seen of them is finite, in any world.
+        """
         never = np.zeros(self.num_worlds, bool)
-        return self._moment(never)._replace(terminated=never, truncated=never)
+        with blamed(self.task):
+            moment = self._moment(never)
+        if self._lost.all():
+            raise UserError(f"{self.faults[-1]}, nor of any other")
+        return moment._replace(terminated=never, truncated=never)
 
     def script(self) -> Array:
         """[N, A]: what the task's script would do now.
@@ -165,7 +178,8 @@ class Worlds(ABC):
         Raises:
             UserError: the task has none.
         """
-        return self.task.script(self.task.measure(self.read()))
+        with blamed(self.task):
+            return self.task.script(self.task.measure(self.read()))
 
     def _remember(self, worlds: Array) -> None:
         if self.task.sensors.memory:
@@ -189,7 +203,8 @@ class Worlds(ABC):
             truncated=over & ~terminated,
         )
         fine = np.isfinite(moment.reward) & np.isfinite(moment.observation).all(axis=1)
-        if not fine.all():
+        self._lost = ~fine
+        if self._lost.any():
             self._note(
                 not_finite("observation", parts, self.num_worlds)
                 + not_finite("reward term", terms, self.num_worlds)
