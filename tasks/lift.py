@@ -6,11 +6,11 @@ Start: cube centre uniform within +-3 cm of the table's centre, any yaw, 1 cm ab
     table; arm in its default pose with 0.02 rad noise a joint, gripper half open.
 Shaped reward, in [0, 1] a step: 0.2 reach + 0.25 grasp + 0.55 lift. Reach is
     1 - tanh(5 d) of the tool-cube distance d [m]; lift rises linearly over the first
-    5 cm, while both finger pads touch the cube. Grasp rises from 0 to 1 as the gripper
-    is told to close while they do, in full where d < 1.2 cm, not at all where d > 2 cm.
-    (Paid for the pads' touch alone, agents press them onto the cube's top, and stay
-    there; paid with a sharp edge at 2 cm, or with lift bound to it, too, they hold the
-    cube by its top, lose the reward as it slips, and let go.)
+    5 cm. Grasp rises from 0 to 1 as the gripper is told to close while both finger
+    pads touch the cube, in full where d < 1.2 cm, not at all where d > 2 cm. (Paid for
+    the pads' touch alone, agents press them onto the cube's top, and stay there; paid
+    with a sharp edge at 2 cm, or with lift bound to it, too, they hold the cube by its
+    top, lose the reward as it slips, and let go.)
 """
 
 from typing import ClassVar
@@ -83,7 +83,7 @@ class Lift(Task):
         return {
             "reach": near(m["distance"], 0.2),
             "grasp": closing(m),
-            "lift": m["grasped"] * ramp(m["height"] - REST, 0.0, 0.05),
+            "lift": ramp(m["height"] - REST, 0.0, 0.05),
         }
 
     def success(self, m: Measures) -> Array:
