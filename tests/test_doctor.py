@@ -1,6 +1,8 @@
 """The doctor's checks, its report and its exit code."""
 
 import json
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -94,6 +96,76 @@ def test_rendering_needs_a_backend_that_is_not_contradicted(
 def test_dm_control_loads_a_task_on_this_mujoco() -> None:
     check = doctor.check_dm_control()
     assert check.ok, check.detail
+
+
+def put_before(monkeypatch, folder: Path, name: str, source: str) -> None:
+    """Have children of the doctor import another module of this name."""
+    (folder / f"{name}.py").write_text(source)
+    monkeypatch.setenv("PYTHONPATH", str(folder))
+
+
+@pytest.mark.parametrize(
+    ("check", "pins"),
+    [
+        (doctor.check_dm_control, "mujoco==3.8.1 dm-control==1.0.41"),
+        (doctor.check_robosuite, "mujoco==3.8.1 robosuite==1.5.2"),
+    ],
+)
+def test_a_mujoco_that_does_not_fit_is_found(check, pins, monkeypatch, tmp_path):
+    put_before(monkeypatch, tmp_path, "mujoco", "__version__ = '2.3.7'")
+    found = check()
+    assert not found.ok
+    assert found.required
+    assert "mujoco" in found.detail
+    assert found.remedy == f"pip install {pins}"
+
+
+@pytest.mark.parametrize(
+    ("cuda", "gpu", "ok", "detail"),
+    [
+        ("12.8", False, False, "built for CUDA 12.8, finds no GPU"),
+        ("12.8", True, True, "built for CUDA 12.8"),
+        (None, False, True, "built for the CPU"),
+    ],
+)
+def test_a_torch_for_a_gpu_that_is_not_there_is_found(
+    cuda, gpu, ok, detail, monkeypatch, tmp_path
+) -> None:
+    source = f"""
+class version: cuda = {cuda!r}
+class cuda: is_available = lambda: {gpu}
+"""
+    put_before(monkeypatch, tmp_path, "torch", source)
+    found = doctor.check_cuda()
+    assert (found.ok, found.required) == (ok, False)
+    assert found.detail.endswith(detail)
+    assert "on the CPU" in found.remedy
+
+
+@pytest.mark.parametrize(("cores", "ok"), [(1, False), (2, True)])
+def test_a_single_core_is_mentioned(cores: int, ok: bool, monkeypatch) -> None:
+    monkeypatch.setattr(doctor, "usable_cpus", lambda: cores)
+    found = doctor.check_cpus()
+    assert (found.ok, found.required) == (ok, False)
+    assert found.detail.startswith(f"{cores} of ")
+
+
+@pytest.mark.parametrize(("free", "ok"), [(0.3, False), (2.0, True)])
+def test_a_disk_that_is_nearly_full_is_found(free, ok, monkeypatch) -> None:
+    usage = SimpleNamespace(free=free * 2**30)
+    monkeypatch.setattr(doctor.shutil, "disk_usage", lambda path: usage)
+    found = doctor.check_disk()
+    assert (found.ok, found.required) == (ok, False)
+    assert found.detail == f"{free} GiB free in {Path.cwd()}"
+    assert "--out" in found.remedy
+
+
+def test_a_cache_that_cannot_be_written_is_found(monkeypatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "/proc/no-such-folder")
+    found = doctor.check_numba_cache()
+    assert (found.ok, found.required) == (False, False)
+    assert "/proc/no-such-folder" in found.detail
+    assert "NUMBA_CACHE_DIR" in found.remedy
 
 
 @pytest.mark.slow

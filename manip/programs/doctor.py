@@ -6,6 +6,7 @@ doctor, and nothing heavy is imported to print a table.
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -34,6 +35,9 @@ TESTED = {
 """Versions known to work together: dm-control reads the memory of one mujoco only,
 and robosuite 1.5.2 breaks from mujoco 3.10 on."""
 
+_NEEDED_DISK = 2 * 2**30
+"""Bytes that a run with a full replay buffer and the compiled code stay below."""
+
 _CHILD_SECONDS = 120
 _PACKAGE_ROOT = Path(__file__).parents[2]
 
@@ -50,6 +54,12 @@ print("Lift with a Panda runs")
 _TORCH = """
 import torch, torchrl.envs, torchrl.objectives
 print(f"torch computes with {torch.get_num_threads()} threads")
+"""
+_CUDA = """
+import torch
+built = torch.version.cuda
+assert not built or torch.cuda.is_available(), f"built for CUDA {built}, finds no GPU"
+print(f"built for CUDA {built}" if built else "built for the CPU")
 """
 _NUMBA_CACHE = """
 from manip.compiled import cache_folder, cache_is_writable
@@ -137,6 +147,16 @@ def check_torch() -> Check:
     return Check("torchrl on torch", ok, True, detail, pins)
 
 
+def check_cuda() -> Check:
+    """torch is not built for a GPU that is not there; manip computes on the CPU."""
+    ok, detail = _try(_CUDA)
+    remedy = (
+        "all works, on the CPU as always; torch's build for the CPU takes gigabytes "
+        "less disk and starts faster"
+    )
+    return Check("torch's build", ok, False, detail, remedy)
+
+
 def check_rendering() -> Check:
     """An OpenGL backend draws, and MUJOCO_GL does not name one that does not."""
     asked, found = os.environ.get("MUJOCO_GL", ""), find_backend()
@@ -164,14 +184,31 @@ def check_numba_cache() -> Check:
     return Check("numba cache", ok, False, detail, remedy)
 
 
+def check_disk() -> Check:
+    """There is room for a run in the working directory."""
+    free = shutil.disk_usage(Path.cwd()).free
+    return Check(
+        "disk",
+        ok=free >= _NEEDED_DISK,
+        required=False,
+        detail=f"{free / 2**30:.1f} GiB free in {Path.cwd()}",
+        remedy=(
+            f"make room for {_NEEDED_DISK / 2**30:.0f} GiB, name another disk with "
+            "--out, or leave replay buffers out of checkpoints with --no-save-buffer"
+        ),
+    )
+
+
 CHECKS: tuple[Callable[[], Check], ...] = (
     check_python,
     *(partial(check_package, name) for name in TESTED),
     check_dm_control,
     check_robosuite,
     check_torch,
+    check_cuda,
     check_rendering,
     check_cpus,
+    check_disk,
     check_numba_cache,
 )
 
