@@ -5,15 +5,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import toy
 from tiny import Tiny
-from toy import QUICK_PPO, QUICK_SAC, SPACES, Points, make_agent
+from toy import SPACES, Points, make_agent
 
+from manip.agents.a2c import A2CConfig
+from manip.agents.a3c import A3CConfig
+from manip.agents.bc import BCConfig
 from manip.envs.native import DUMP_FORMAT, MOST_DUMPS, NativeWorlds
 from manip.envs.task import Task
 from manip.envs.worlds import Moment
 from manip.errors import UserError
 from manip.programs import cli, replay
 from manip.sim.model import Scene
+from manip.training.build import AGENTS
 from manip.training.guard import Guard
 from manip.training.rollout import Rollout
 from manip.trees import load_tree, save_tree
@@ -109,7 +114,9 @@ def test_a_replay_is_the_same_step(scene: Scene, tmp_path: Path, capsys) -> None
     action[1, 0] = np.nan
     worlds.step(action)
     (dump,) = tmp_path.iterdir()
-    again = replay._world(load_tree(dump))
+    kept = load_tree(dump)
+    kept["rig"] |= {"dumps": str(tmp_path / "elsewhere"), "num_worlds": 9}
+    again = replay._world(kept)
     np.testing.assert_array_equal(again.engine.states, before.states[[1]])
     np.testing.assert_array_equal(again.engine.save().readings, before.readings[[1]])
 
@@ -140,7 +147,16 @@ def test_what_is_no_kept_step_is_refused(tmp_path: Path, capsys) -> None:
     assert "does not fit this version" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("config", [QUICK_PPO, QUICK_SAC], ids=["ppo", "sac"])
+QUICK = {name: value for name, value in vars(toy).items() if name.startswith("QUICK")}
+
+
+def test_every_algorithm_is_looked_at() -> None:
+    without = {A3CConfig, BCConfig}
+    assert {type(config) for config in QUICK.values()} == {*AGENTS} - without
+    assert issubclass(AGENTS[A3CConfig], AGENTS[A2CConfig])
+
+
+@pytest.mark.parametrize("config", QUICK.values(), ids=QUICK)
 def test_a_gradient_that_is_not_finite_is_named_and_changes_no_weight(config) -> None:
     agent, other = make_agent(config, seed=0), make_agent(config, seed=0)
     guard = Guard(agent.optimisers(), stop=False)

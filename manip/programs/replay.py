@@ -18,6 +18,9 @@ from manip.programs import cli
 from manip.sim.engine import Snapshot
 from manip.trees import load_tree
 
+RIG = ("robot", "controller", "control_freq", "fidelity")
+"""What a dump says of its arm and physics; nothing else of it becomes an option."""
+
 
 @dataclass(frozen=True)
 class Replay:
@@ -47,17 +50,19 @@ def main(arguments: Sequence[str]) -> int:
             f"{options.dump} does not fit this version: {one_line(error)}"
         ) from error
     console = Console(soft_wrap=True)
-    console.print(f"then: {recorded}", highlight=False)
+    console.print(f"then: {recorded}", markup=False, highlight=False)
     console.print(_table(before, _motion(worlds)))
-    console.print(f"action: {np.array2string(dump['action'], precision=3)}")
-    console.print(f"now: {'; '.join(map(str, worlds.faults)) or 'all is well'}")
+    action = np.array2string(dump["action"], precision=3)
+    now = "; ".join(map(str, worlds.faults)) or "all is well"
+    console.print(f"action: {action}\nnow: {now}", markup=False)
     return 1 if worlds.faults else 0
 
 
 def _world(dump: dict[str, Any]) -> NativeWorlds:
     """The one world, as it was before the step."""
-    task = load_task(dump["task"])
-    worlds = NativeWorlds(task, 1, **dump["rig"], reward=dump["reward"], threads=1)
+    task, rig = load_task(dump["task"]), dump["rig"]
+    options = {name: rig[name] for name in RIG} | {"reward": dump["reward"]}
+    worlds = NativeWorlds(task, 1, **options, threads=1)
     worlds.begin(np.zeros(1, int))
     worlds.engine.restore(Snapshot(dump["state"][None], dump["readings"][None]))
     return worlds
