@@ -1,6 +1,7 @@
 """Options, whoever gives them and whatever they hold: an agent, or one line."""
 
 from dataclasses import fields, replace
+from pathlib import Path
 from types import UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
@@ -10,7 +11,10 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from manip.agents.agent import Spaces
+from manip.agents.sac import SACConfig
 from manip.errors import UserError
+from manip.programs import cli, evaluate, render, replay, train
+from manip.programs.evaluate import Evaluate
 from manip.training.build import AGENTS
 from manip.training.config import ALGORITHMS, TrainConfig, from_dict, to_dict
 from manip.training.limits import RANGES
@@ -125,3 +129,74 @@ def test_any_configuration_is_built_or_refused_in_a_line(values) -> None:
 @given(configurations())
 def test_thousands_of_configurations_are_built_or_refused(values) -> None:
     assert_built_or_refused(values)
+
+
+# Command lines
+
+PROGRAMS = {
+    program.__name__.rpartition(".")[2]: program
+    for program in (train, evaluate, render, replay)
+}
+
+flags = st.sampled_from(
+    [
+        f"--{'no-' * off}{prefix}{field.name.replace('_', '-')}"
+        for prefix, cls in (("", TrainConfig), ("agent.", SACConfig), ("", Evaluate))
+        for field in fields(cls)
+        for off in (False, True)
+    ]
+)
+words = st.sampled_from(
+    [
+        *("", "-", "--", "-1", "0", "3", "1e400", "nan", "None", "True", "[", "{}"),
+        *("Lift", "Reach", "ppo", "sac", "nowhere", "a:b", ":", "/", "..:x", "x/y"),
+        *("robosuite/Lft", "exact", "native", "Panda", "--steps=2", "/dev/null"),
+    ]
+)
+command_lines = st.lists(flags | words | st.text(max_size=5), max_size=6)
+
+
+class Unwilling:
+    """A trainer that never trains."""
+
+    def __init__(self, config: TrainConfig) -> None:
+        raise UserError(f"not today: {config.steps}")
+
+
+def assert_answered_in_a_line(program: str, line: list[str], patch, capfd) -> None:
+    patch.setattr(train, "Trainer", Unwilling)
+    capfd.readouterr()
+    code = cli.run(PROGRAMS[program].main, line)
+    said = capfd.readouterr().err
+    assert code == 2
+    assert said.startswith("manip: error: ")
+    assert said.count("\n") == 1, said
+
+
+careful = settings(
+    patient,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
+
+
+@settings(careful, max_examples=25)
+@given(program=st.sampled_from(sorted(PROGRAMS)), line=command_lines)
+@example(program="train", line=["--task", "..:x"])
+@example(program="train", line=["--agent.action-scale"])
+@example(program="evaluate", line=["\0"])
+@example(program="replay", line=["/dev/null"])
+def test_any_command_line_is_answered_in_a_line(
+    program: str, line: list[str], monkeypatch, capfd, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert_answered_in_a_line(program, line, monkeypatch, capfd)
+
+
+@pytest.mark.slow
+@settings(careful, max_examples=1000)
+@given(program=st.sampled_from(sorted(PROGRAMS)), line=command_lines)
+def test_a_thousand_command_lines_are_answered_in_a_line(
+    program: str, line: list[str], monkeypatch, capfd, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert_answered_in_a_line(program, line, monkeypatch, capfd)
