@@ -9,6 +9,7 @@ import pytest
 from torchrl.envs.utils import check_env_specs
 
 from manip.agents.policy import load_policy
+from manip.envs.crew import Crew
 from manip.envs.others import OtherWorlds, load_other, other_names
 from manip.envs.torchrl import TaskEnv
 from manip.evaluation import evaluate as evaluation
@@ -114,12 +115,12 @@ def test_an_episode_runs_to_its_time_limit_and_is_repeated(worlds) -> None:
 
 def test_a_broken_world_is_cut_off(worlds: OtherWorlds) -> None:
     before = begun(worlds, 0).look().observation
-    count = worlds.broken_count
+    count = worlds.fault_count
     move = actions(worlds, 1)[0]
     move[1, 0] = np.nan
     moment = worlds.step(move)
     assert moment.truncated.tolist() == [False, True]
-    assert worlds.broken_count == count + 1
+    assert worlds.fault_count == count + 1
     np.testing.assert_array_equal(moment.observation[1], before[1])
     assert not np.allclose(moment.observation[0], before[0])
     worlds.begin(np.array([1]))
@@ -157,7 +158,17 @@ def test_success_of_dm_control_is_a_full_reward_and_divergence_breaks() -> None:
         assert worlds.step(np.zeros((3, 9))).success[0] == (reward == 1)
     world._env.physics.data.qvel[0] = np.nan
     assert worlds.step(np.zeros((3, 9))).truncated[0]
-    assert worlds.broken_count == 1
+    assert worlds.fault_count == 1
+
+
+def test_a_process_that_died_is_told() -> None:
+    crew = Crew(str, 2, 2)
+    asked = {0: (3,), 1: (3,)}
+    assert crew.ask("zfill", asked) == {0: "000", 1: "001"}
+    (process,) = crew._home[1]._processes.values()
+    process.kill()
+    with pytest.raises(ChildProcessError, match="a process that steps worlds has died"):
+        crew.ask("zfill", asked)
 
 
 # Programs

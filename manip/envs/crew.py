@@ -4,6 +4,7 @@ import multiprocessing
 import signal
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 import numpy as np
@@ -38,14 +39,23 @@ class Crew:
     def ask(
         self, method: str, arguments: Mapping[int, tuple[Any, ...]]
     ) -> dict[int, Any]:
-        """World -> what its `method` returns; the processes work at the same time."""
+        """World -> what its `method` returns; the processes work at the same time.
+
+        Raises:
+            ChildProcessError: one of them has died.
+        """
         if self._here:
             return {w: getattr(self._here[w], method)(*a) for w, a in arguments.items()}
         asked = {
             world: self._home[world].submit(_answer, world, method, given)
             for world, given in arguments.items()
         }
-        return {world: answer.result() for world, answer in asked.items()}
+        try:
+            return {world: answer.result() for world, answer in asked.items()}
+        except BrokenProcessPool as error:
+            raise ChildProcessError(
+                "a process that steps worlds has died: is there too little memory?"
+            ) from error
 
 
 _settled: dict[int, OtherWorld] = {}

@@ -41,15 +41,19 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 class Interruptible:
-    """While inside, the first Ctrl-C or SIGTERM calls `stop`; a second one kills."""
+    """While inside, the first Ctrl-C, SIGTERM or SIGHUP calls `stop`; a second kills.
 
-    SIGNALS: Sequence[signal.Signals] = (signal.SIGINT, signal.SIGTERM)
+    Signals that are ignored, as SIGHUP is by nohup, stay so.
+    """
+
+    SIGNALS: Sequence[signal.Signals] = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
     def __init__(self, stop: Callable[[], None]) -> None:
         self._stop = stop
 
     def __enter__(self) -> None:
-        self._before = {s: signal.signal(s, self._handle) for s in self.SIGNALS}
+        heard = [s for s in self.SIGNALS if signal.getsignal(s) != signal.SIG_IGN]
+        self._before = {s: signal.signal(s, self._handle) for s in heard}
 
     def __exit__(self, *_: object) -> None:
         self._restore()
