@@ -3,6 +3,7 @@
 import errno
 import math
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -36,8 +37,10 @@ from manip.training.config import (
     recipe_names,
     to_dict,
 )
+from manip.training.leaving import Interruptible
 from manip.training.logs import MetricsTable, read_metrics
 from manip.training.loop import Trainer
+from manip.training.progress import TrainingProgress
 from manip.trees import load_tree, save_tree
 
 AGENTS = {
@@ -92,6 +95,7 @@ def tiny(algo: str, out: Path, **changes: Any) -> TrainConfig:
         "out": str(out),
         "steps": 512,
         "num_worlds": 4,
+        "threads": 2,
         "horizon": 20,
         "eval_every": 192,
         "eval_episodes": 2,
@@ -270,10 +274,25 @@ def test_the_same_seed_gives_the_same_run_bit_for_bit(algo, finished, tmp_path) 
 
 
 @by_algorithm
-def test_the_number_of_threads_does_not_change_a_run(algo, finished, tmp_path) -> None:
-    again = Trainer(tiny(algo, tmp_path / "again", threads=1))
+@pytest.mark.parametrize("threads", [1, pytest.param(4, marks=pytest.mark.slow)])
+def test_the_number_of_threads_does_not_change_a_run(
+    threads: int, algo: str, finished, tmp_path: Path
+) -> None:
+    again = Trainer(tiny(algo, tmp_path / "again", threads=threads))
     assert again.run()
     assert_equal_runs(finished(algo).folder, again.folder)
+
+
+@pytest.mark.slow
+@by_algorithm
+def test_sixteen_worlds_give_the_same_run_twice(algo: str, tmp_path: Path) -> None:
+    first, second = (
+        Trainer(tiny(algo, tmp_path / name, num_worlds=16, steps=2048))
+        for name in ("first", "second")
+    )
+    assert first.run()
+    assert second.run()
+    assert_equal_runs(first.folder, second.folder)
 
 
 @pytest.mark.parametrize(("overlap", "ages"), [(True, [0, 1, 1, 1]), (False, [0] * 3)])
@@ -515,7 +534,67 @@ def test_a_table_takes_up_its_rows_and_columns_may_come(tmp_path: Path) -> None:
     assert [row["env_steps"] for row in read_metrics(path)] == ["10", "20", "30"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_run_goes_on_without_the_buffer_that_was_not_saved(
+    tmp_path: Path, capsys
+) -> None:
+    config = tiny("sac", tmp_path / "run", save_buffer=False)
+    trainer = Trainer(config)
+    stop_after(trainer, 11)
+    assert not trainer.run()
+    assert "replay buffer" not in capsys.readouterr().err
+    lean = trainer.checkpoints.latest.stat().st_size
+    again, counts = Trainer(replace(config, save_buffer=True, resume=True)), []
+    update = again.agent.update
+
+    def counted(batch: Any) -> dict[str, float]:
+        found = update(batch)
+        counts.append(again.agent.extra_state()["updates"])
+        return found
+
+    again.agent.update = counted
+    with pytest.warns(UserWarning, match="holds no replay buffer: it is filled anew"):
+        assert again.run()
+    first, second, third, fourth, fifth = counts
+    assert 0 < first == second == third < fourth < fifth
+    said = capsys.readouterr().err
+    assert re.search(r"MiB \(.* of them the replay buffer: --no-save-buffer\)", said)
+    rows = state_of(config.folder)["agent"]["buffer"]
+    assert trainer.checkpoints.latest.stat().st_size > lean + rows.nbytes / 2
+
+
+def test_faults_are_told_counted_and_kept_and_a_run_goes_on(
+    tmp_path: Path, capsys
+) -> None:
+    config = tiny("ppo", tmp_path / "run")
+    for updates in (1, None):
+        trainer = Trainer(replace(config, resume=updates is None))
+        fall_ill(trainer.envs[0].worlds.task, 2)
+        if updates:
+            stop_after(trainer, updates)
+        assert trainer.run() is (updates is None)
+        told = capsys.readouterr().err
+        assert "Reach: reward term 'near' of world 2 is not finite in step" in told
+        assert told.count("its episode is lost") == 1
+    rows = read_metrics(config.folder / "metrics.csv")
+    assert [row["faults"] for row in rows] == ["2"] * 3
+    assert len(list((config.folder / "dumps").iterdir())) == 2
+
+
+def fall_ill(task: Any, world: int) -> None:
+    """Have the task pay a world in NaN, in its sixth reward from now."""
+    terms, number = task.reward_terms, iter(range(10_000))
+
+    def ill(m: Any, reward: str) -> dict[str, np.ndarray]:
+        found = terms(m, reward)
+        if next(number) == 5:
+            found["near"] = found["near"].copy()
+            found["near"][world] = np.nan
+        return found
+
+    task.reward_terms = ill
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_the_run_after_its_update(number, tmp_path: Path) -> None:
     trainer = Trainer(tiny("ppo", tmp_path / "run"))
     update, before = trainer.agent.update, signal.getsignal(number)
@@ -528,6 +607,21 @@ def test_a_signal_ends_the_run_after_its_update(number, tmp_path: Path) -> None:
     assert not trainer.run()
     assert signal.getsignal(number) == before
     assert state_of(trainer.folder)["progress"]["env_steps"] == ROLLOUT["ppo"]
+
+
+def test_an_ignored_signal_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with Interruptible(lambda: pytest.fail("heard")):
+            signal.raise_signal(signal.SIGHUP)
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_what_is_said_is_said_as_it_is(capsys) -> None:
+    TrainingProgress(1, 0, ()).say("runs/[/a][b]")
+    assert capsys.readouterr().err == "runs/[/a][b]\n"
 
 
 def wait_for_metrics(path: Path, process: subprocess.Popen[str]) -> None:

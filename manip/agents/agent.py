@@ -65,8 +65,11 @@ class Agent(ABC):
     def optimisers(self) -> dict[str, torch.optim.Optimizer]:
         """Everything with optimiser state, by name, for checkpoints."""
 
-    def extra_state(self) -> dict[str, Any]:
-        """Tensors and numbers besides modules and optimisers (such as a buffer)."""
+    def extra_state(self, buffer: bool = True) -> dict[str, Any]:
+        """Tensors and numbers besides modules and optimisers.
+
+        What is stored of old rollouts is called `buffer`, and None unless asked for.
+        """
         return {}
 
     def load_extra_state(self, state: dict[str, Any]) -> None:

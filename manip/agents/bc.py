@@ -125,12 +125,12 @@ class BC(Agent):
         """One for the actor."""
         return {"actor": self._optim}
 
-    def extra_state(self) -> dict[str, Any]:
+    def extra_state(self, buffer: bool = True) -> dict[str, Any]:
         """What the script has shown, oldest place first, and the updates owed."""
-        rows = self._buffer[:].select(*KEYS).to_dict() if len(self._buffer) else None
+        kept = buffer and len(self._buffer) > 0
         return {
-            "buffer": rows,
-            "cursor": self._buffer.writer._cursor,
+            "buffer": self._buffer[:].select(*KEYS).to_dict() if kept else None,
+            "cursor": self._buffer.writer._cursor if kept else 0,
             "owed": self._owed,
         }
 

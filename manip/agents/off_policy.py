@@ -118,13 +118,19 @@ class OffPolicy(Agent):
         """Nothing is learned yet."""
         return self._seen < self._options.random_steps
 
+    @property
+    def _refilling(self) -> bool:
+        """The run goes on from a checkpoint without a buffer."""
+        options = self._options
+        return len(self._buffer) < min(options.random_steps, options.buffer_size)
+
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Store the rollout [N, T]; then as many updates as its steps call for."""
         config = self._options
         flat = n_step_transitions(batch, config.n_step, config.gamma).reshape(-1)
         self._buffer.extend(TensorDict({"row": rows_of(flat)}, flat.batch_size))
         self._seen += len(flat)
-        if self.warming_up:
+        if self.warming_up or self._refilling:
             return {}
         self._owed += len(flat) * config.updates_per_step
         logged: dict[str, float] = {}
@@ -134,11 +140,12 @@ class OffPolicy(Agent):
             logged |= self._learn(rows)
         return logged
 
-    def extra_state(self) -> dict[str, Any]:
+    def extra_state(self, buffer: bool = True) -> dict[str, Any]:
         """The buffer's transitions, oldest place first, and the counters."""
+        kept = buffer and len(self._buffer) > 0
         return {
-            "buffer": self._buffer[:]["row"] if len(self._buffer) else None,
-            "cursor": self._buffer.writer._cursor,
+            "buffer": self._buffer[:]["row"] if kept else None,
+            "cursor": self._buffer.writer._cursor if kept else 0,
             "seen": self._seen,
             "owed": self._owed,
             "updates": self._updates,

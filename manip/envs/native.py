@@ -93,11 +93,6 @@ class NativeWorlds(Worlds):
         """As `BatchEngine.read`."""
         return self.engine.read()
 
-    @property
-    def broken_count(self) -> int:
-        """Worlds whose physics broke so far."""
-        return self.engine.broken_count
-
     def visual_model(self, world: int) -> Any:
         """A copy of the stock model with the world's model fields."""
         return self.engine.visual_model(self.engine.states[world])
@@ -166,7 +161,7 @@ class NativeWorlds(Worlds):
             "readings": snapshot.readings,
             "elapsed": self.elapsed.copy(),
             "episode": self.episode.copy(),
-            "broken_count": self.engine.broken_count,
+            "fault_count": self.fault_count,
             "bank": self._bank and self._bank.save_state(),
         }
 
@@ -179,7 +174,7 @@ class NativeWorlds(Worlds):
         self.engine.restore(Snapshot(state["states"], state["readings"]))
         self.elapsed[:] = state["elapsed"]
         self.episode[:] = state["episode"]
-        self.engine.broken_count = state["broken_count"]
+        self.fault_count = state["fault_count"]
         if self._bank:
             self._bank.load_state(state["bank"])
 

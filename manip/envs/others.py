@@ -157,9 +157,6 @@ class OtherWorlds(Worlds):
 
     Raises:
         UserError: the library has no such arm, action space, fidelity or reward.
-
-    Attributes:
-        broken_count: worlds whose physics broke so far.
     """
 
     task: OtherTask
@@ -195,7 +192,6 @@ class OtherWorlds(Worlds):
         self._sights = [first] * num_worlds
         self._taken: list[list[Array]] = [[] for _ in range(num_worlds)]
         self._stagger = stagger
-        self.broken_count = 0
         action_dim: int = self._crew.ask("action_dim", {0: ()})[0]
         super().__init__(task, num_worlds, action_dim, horizon, reward, seed)
 
@@ -231,7 +227,6 @@ class OtherWorlds(Worlds):
             self._taken[world].append(action[world].copy())
             broken[world] = sight is None
             self._sights[world] = sight or self._sights[world]
-        self.broken_count += int(broken.sum())
         return broken
 
     def save_state(self) -> dict[str, Any]:
@@ -241,7 +236,7 @@ class OtherWorlds(Worlds):
             "elapsed": self.elapsed.copy(),
             "episode": self.episode.copy(),
             "actions": [np.array(taken or empty) for taken in self._taken],
-            "broken_count": self.broken_count,
+            "fault_count": self.fault_count,
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
@@ -252,7 +247,7 @@ class OtherWorlds(Worlds):
         """
         self.elapsed[:] = state["elapsed"]
         self.episode[:] = state["episode"]
-        self.broken_count = state["broken_count"]
+        self.fault_count = state["fault_count"]
         self._taken = [list(actions) for actions in state["actions"]]
         calls = {
             world: (self.episode_seed(world), actions)

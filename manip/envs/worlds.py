@@ -61,6 +61,7 @@ class Worlds(ABC):
         elapsed: [N] control steps since each world's episode began.
         episode: [N] number of each world's episode; -1 before the first.
         faults: the latest worlds that were lost; whoever tells of them removes them.
+        fault_count: how many were lost so far.
         stop_at_faults: whether a world that is lost is an error.
     """
 
@@ -85,6 +86,7 @@ class Worlds(ABC):
         self.reward_set = reward
         self.elapsed = np.zeros(num_worlds, dtype=np.int64)
         self.faults: deque[Fault] = deque(maxlen=1000)
+        self.fault_count = 0
         self._lost = np.zeros(num_worlds, bool)
         with blamed(task):
             check_task(task, self.read(), num_worlds)
@@ -241,6 +243,7 @@ class Worlds(ABC):
 
     def _report(self, fault: Fault) -> None:
         self.faults.append(fault)
+        self.fault_count += 1
         kept = self._kept(fault)
         if self.stop_at_faults:
             raise UserError(f"{fault}{kept}")

@@ -1,5 +1,6 @@
 """A run's whole state in one file, so that it goes on where it stopped."""
 
+import time
 import warnings
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,11 @@ from manip.files import link_file
 from manip.training.rollout import Collector
 from manip.trees import load_tree, save_tree
 
-FORMAT = 5
+FORMAT = 6
 """Version of the checkpoint file; raised when it changes incompatibly."""
+
+SAVING_SHARE = 0.05
+"""Checkpoints on the way may take this part of a run's time."""
 
 
 class Checkpoints:
@@ -70,13 +74,17 @@ class Checkpoints:
         return checked
 
 
-def state_of(agent: Agent, collector: Collector) -> dict[str, Any]:
-    """Everything that the coming steps depend on: agent, worlds, random state."""
+def state_of(agent: Agent, collector: Collector, buffer: bool) -> dict[str, Any]:
+    """Everything that the coming steps depend on: agent, worlds, random state.
+
+    Args:
+        buffer: with what the agent has stored of old rollouts.
+    """
     return {
         "format": FORMAT,
         "modules": {name: m.state_dict() for name, m in agent.modules().items()},
         "optimisers": {n: o.state_dict() for n, o in agent.optimisers().items()},
-        "agent": agent.extra_state(),
+        "agent": agent.extra_state(buffer),
         "collector": collector.save_state(),
         "torch_rng": torch.get_rng_state(),
     }
@@ -100,3 +108,46 @@ def restore(state: dict[str, Any], agent: Agent, collector: Collector) -> None:
         raise UserError(
             f"the checkpoint is of another configuration: {one_line(error)}"
         ) from error
+
+
+class Saving:
+    """When to save next, and what it costs.
+
+    Args:
+        every: seconds between checkpoints; more where those take long.
+
+    Attributes:
+        buffer: bytes of the replay buffer in the last checkpoint.
+    """
+
+    buffer = 0
+
+    def __init__(self, every: float) -> None:
+        self._every = every
+        self._ended = time.monotonic()
+        self._took = 0.0
+
+    def due(self) -> bool:
+        """Whether it is time for the next checkpoint."""
+        wait = max(self._every, self._took / SAVING_SHARE)
+        return time.monotonic() - self._ended > wait
+
+    def cost(self, path: Path) -> str:
+        """Size and time of the last checkpoint, in words."""
+        size, buffer = path.stat().st_size / 2**20, self.buffer / 2**20
+        part = f" ({buffer:,.1f} of them the replay buffer: --no-save-buffer)"
+        whole = f"checkpoint: {size:,.1f} MiB{part if buffer else ''}"
+        return f"{whole}, written in {self._took:.1f} s"
+
+    def __enter__(self) -> None:
+        self._began = time.monotonic()
+
+    def __exit__(self, *_: object) -> None:
+        self._ended = time.monotonic()
+        self._took = self._ended - self._began
+
+
+def size_of(buffer: Any) -> int:
+    """Bytes of a tensor, or of all in a dict; 0 for None."""
+    tensors = buffer.values() if isinstance(buffer, dict) else [buffer]
+    return sum(tensor.nbytes for tensor in tensors if tensor is not None)

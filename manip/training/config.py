@@ -55,6 +55,7 @@ Controller = Literal["OSC_POSE", "OSC_POSITION", "JOINT_POSITION", "JOINT_VELOCI
 MAY_CHANGE = {
     *("out", "resume", "steps", "threads", "wandb"),
     *("eval_every", "eval_episodes", "checkpoint_every", "faults"),
+    "save_buffer",
 }
 """Options that a run may go on with changed: the others made it what it is."""
 
@@ -103,6 +104,8 @@ class TrainConfig:
     """Episodes an evaluation."""
     faults: Literal["survive", "stop"] = "survive"
     """Numbers that go wrong cost an episode or an update (survive), or end the run."""
+    save_buffer: bool = True
+    """Checkpoints hold the replay buffer; without it, a resumed run fills it anew."""
     checkpoint_every: float = 60.0
     """Seconds between checkpoints (one is written at every evaluation, too)."""
     wandb: str | None = None

@@ -24,10 +24,12 @@ class Guard:
 
     Attributes:
         lost: what was not finite lately; whoever tells of it removes it.
+        count: how often something was not finite so far.
     """
 
     def __init__(self, optimisers: Mapping[str, Optimizer], stop: bool) -> None:
         self.lost: deque[str] = deque(maxlen=1000)
+        self.count = 0
         self._stop = stop
         for name, optimiser in optimisers.items():
             optimiser.register_step_pre_hook(partial(self._look, name))
@@ -55,4 +57,5 @@ class Guard:
     def _note(self, what: str) -> None:
         if self._stop:
             raise UserError(f"{what} is not finite")
+        self.count += 1
         self.lost.append(f"{what} is not finite")

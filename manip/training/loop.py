@@ -22,7 +22,7 @@ from manip.training.build import (
     policy_of,
     training_envs,
 )
-from manip.training.checkpoint import Checkpoints, restore, state_of
+from manip.training.checkpoint import Checkpoints, Saving, restore, size_of, state_of
 from manip.training.config import TrainConfig, check_lasting, lasting, to_dict
 from manip.training.guard import Guard
 from manip.training.leaving import Interruptible, locked
@@ -36,9 +36,6 @@ RECENT = 100
 
 MOST_TOLD = 20
 """Faults that a run tells of, one by one; metrics.csv counts them all."""
-
-SAVING_SHARE = 0.05
-"""Checkpoints on the way may take this part of a run's time."""
 
 
 class Trainer:
@@ -65,7 +62,7 @@ class Trainer:
         self.env_steps = 0
         self.seconds = 0.0
         self._best = (-1.0, -np.inf)
-        self._saving = _Saving(config.checkpoint_every)
+        self._saving = Saving(config.checkpoint_every)
         self._told = 0
         self.stopping = False
 
@@ -74,7 +71,7 @@ class Trainer:
 
         Raises:
             UserError: there is nothing to resume, or it was begun with other options;
-                another process is at work in the folder; the disk is full.
+                another process is at work in the folder; disk or memory are full.
         """
         stages = self.judge.worlds.task.stages
         with locked(self.folder), Interruptible(self._stop):
@@ -87,8 +84,11 @@ class Trainer:
                     TrainingProgress(self.config.steps, self.env_steps, stages) as bar,
                 ):
                     self._train(bar)
-            except OSError as error:
-                raise UserError(f"{one_line(error)}{self._how_to_go_on()}") from error
+            except (OSError, MemoryError) as error:
+                told = one_line(error) or "not enough memory"
+                raise UserError(f"{told}{self._how_to_go_on()}") from error
+            except UserError as error:
+                raise UserError(f"{error}{self._how_to_go_on()}") from error
         return not self.stopping
 
     def _train(self, progress: TrainingProgress) -> None:
@@ -165,8 +165,8 @@ class Trainer:
     def _record(self, values: dict[str, float], progress: TrainingProgress) -> None:
         speed = progress.speed(self.env_steps)
         row = {"seconds": self.seconds, "steps_per_second": speed}
-        broken = sum(env.worlds.broken_count for env in self.envs)
-        row |= {"broken_worlds": broken}
+        lost = sum(env.worlds.fault_count for env in self.envs)
+        row |= {"faults": lost + self._guard.count}
         row |= self._training_averages() | values
         row |= {f"learn/{name}": value for name, value in self._learned.items()}
         self._log.write(self.env_steps, row)
@@ -190,12 +190,14 @@ class Trainer:
             "env_steps": self.env_steps,
             "seconds": self.seconds,
             "best": list(self._best),
+            "lost_updates": self._guard.count,
             "learned": self._learned,
             "recent": [asdict(episode) for episode in self._recent],
             "rows": self._log.rows,
         }
-        state = state_of(self.agent, self._collector)
+        state = state_of(self.agent, self._collector, self.config.save_buffer)
         state |= {"config": lasting(self.config), "versions": versions()}
+        self._saving.buffer = size_of(state["agent"].get("buffer"))
         with self._saving:
             self.checkpoints.save(state | {"progress": progress}, best)
 
@@ -206,6 +208,7 @@ class Trainer:
             check_lasting(state["config"], self.config)
             _compare_versions(state["versions"])
             restore(state, self.agent, self._collector)
+            _compare_buffer(state["agent"])
             return self._take_up(state["progress"])
         except UserError:
             raise
@@ -218,6 +221,7 @@ class Trainer:
         self.env_steps = int(progress["env_steps"])
         self.seconds = float(progress["seconds"])
         self._best = tuple(progress["best"])
+        self._guard.count = int(progress["lost_updates"])
         self._learned = progress["learned"]
         self._recent.extend(Episode(**episode) for episode in progress["recent"])
         rows: list[Row] = progress["rows"]
@@ -236,36 +240,6 @@ class Trainer:
         self.stopping = True
 
 
-class _Saving:
-    """When to save next, and what it costs.
-
-    Args:
-        every: seconds between checkpoints; more where those take long.
-    """
-
-    def __init__(self, every: float) -> None:
-        self._every = every
-        self._ended = time.monotonic()
-        self._took = 0.0
-
-    def due(self) -> bool:
-        """Whether it is time for the next checkpoint."""
-        wait = max(self._every, self._took / SAVING_SHARE)
-        return time.monotonic() - self._ended > wait
-
-    def cost(self, path: Path) -> str:
-        """Size and time of the last checkpoint, in words."""
-        size = path.stat().st_size / 2**20
-        return f"checkpoint: {size:,.1f} MiB, written in {self._took:.1f} s"
-
-    def __enter__(self) -> None:
-        self._began = time.monotonic()
-
-    def __exit__(self, *_: object) -> None:
-        self._ended = time.monotonic()
-        self._took = self._ended - self._began
-
-
 def _check_folder(folder: Path, checkpoints: Checkpoints, resume: bool) -> None:
     if resume and not checkpoints.exist():
         raise UserError(f"nothing to resume: there is no {checkpoints.latest}")
@@ -273,6 +247,16 @@ def _check_folder(folder: Path, checkpoints: Checkpoints, resume: bool) -> None:
         raise UserError(
             f"{folder} already holds a run: continue it with --resume, or choose "
             "another folder with --out"
+        )
+
+
+def _compare_buffer(state: dict[str, Any]) -> None:
+    """Say that the agent's replay buffer was not saved, if it has one."""
+    if "buffer" in state and state["buffer"] is None:
+        warnings.warn(
+            "the checkpoint holds no replay buffer: it is filled anew, and the run "
+            "does not go on bit for bit",
+            stacklevel=2,
         )
 
 
