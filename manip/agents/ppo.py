@@ -35,8 +35,8 @@ class PPOConfig(OnPolicyConfig):
     """Pieces that each pass is split into."""
     entropy_coefficient: float = 0.002
     """c_H, weight of the entropy bonus."""
-    target_kl: float = 0.05
-    """A pass is the last one when it moved the policy this far: mean KL divergence."""
+    target_kl: float | None = 0.05
+    """Mean KL divergence of a pass that makes it the last one; no pass is if None."""
 
 
 class PPO(OnPolicy):
@@ -68,9 +68,13 @@ class PPO(OnPolicy):
         rows, pieces = rows_of(self._gae(batch).reshape(-1)), self.config.minibatches
         for _ in range(self.config.epochs):
             told = [self._improve(piece) for piece in minibatches(rows, pieces)]
-            if sum(found.kl for found in told) / len(told) > self.config.target_kl:
+            if self._far([found.kl for found in told]):
                 break
         return told[-1]._asdict()
+
+    def _far(self, kl: list[float]) -> bool:
+        limit = self.config.target_kl
+        return limit is not None and sum(kl) / len(kl) > limit
 
     def _improve(self, rows: Tensor) -> Told:
         told = self._gradients(rows)

@@ -5,7 +5,6 @@ gradients, Adam and the critics' targets.
 """
 
 from collections.abc import Callable
-from math import inf
 
 import torch
 
@@ -51,7 +50,7 @@ def ppo(problem: Problem, threads: int) -> Callable[[], int]:
         rollout_length=problem.length,
         epochs=problem.epochs,
         minibatches=problem.rows // problem.minibatch,
-        target_kl=inf,
+        target_kl=None,
         actor_hidden=problem.hidden,
         critic_hidden=problem.hidden,
     )

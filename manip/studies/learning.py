@@ -37,7 +37,7 @@ def clipping_variants(task: str, steps: int | None) -> dict[str, TrainConfig]:
         f"{epochs} epochs, " + (f"clip {clip}" if clip else "no clip"): replace(
             base,
             eval_every=max(1, base.steps // 8),
-            agent=replace(agent, epochs=epochs, clip=clip, target_kl=math.inf),
+            agent=replace(agent, epochs=epochs, clip=clip, target_kl=None),
         )
         for clip in CLIPS
         for epochs in EPOCHS
