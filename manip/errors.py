@@ -1,5 +1,6 @@
 """Errors that say what was asked, what exists, and what to do."""
 
+import reprlib
 from collections.abc import Iterable
 from difflib import get_close_matches
 from numbers import Integral
@@ -16,8 +17,19 @@ class DamagedError(UserError):
 def at_least(least: int, name: str, value: object) -> None:
     """Raise `UserError` unless the value is a whole number of at least `least`."""
     if not isinstance(value, Integral) or value < least:
-        said = " ".join(repr(value).split())[:80]
-        raise UserError(f"{name} must be at least {least}, not {said}")
+        raise UserError(f"{name} must be at least {least}, not {shown(value)}")
+
+
+_brief = reprlib.Repr()
+_brief.maxstring = _brief.maxother = 200
+
+
+def shown(value: object) -> str:
+    """A value in a few words on one line, however much it holds."""
+    try:
+        return " ".join(_brief.repr(value).split())
+    except ValueError:  # thousands of digits
+        return "a number too large to show"
 
 
 def one_line(error: Exception) -> str:
@@ -32,7 +44,7 @@ def unknown(kind: str, asked: object, known: Iterable[str]) -> UserError:
     "unknown task 'Lfit': did you mean 'Lift'? known tasks: Lift, Reach".
     """
     names = {name.casefold(): name for name in known}
-    close = get_close_matches(str(asked).casefold(), names, n=1)
+    close = get_close_matches(shown(asked).strip("'").casefold(), names, n=1)
     hint = f"did you mean {names[close[0]]!r}? " if close else ""
     listing = ", ".join(names.values())
-    return UserError(f"unknown {kind} {asked!r}: {hint}known {kind}s: {listing}")
+    return UserError(f"unknown {kind} {shown(asked)}: {hint}known {kind}s: {listing}")

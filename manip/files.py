@@ -41,9 +41,13 @@ def link_file(source: Path, path: Path) -> None:
 
 
 def remove_partial(folder: Path) -> None:
-    """Remove what writers left under temporary names when they were killed."""
-    for left in folder.rglob(f".*{_PARTIAL}*"):
-        left.unlink()
+    """Remove what killed writers left under temporary names, there and one level down.
+
+    No deeper: a run folder may be one that holds much else.
+    """
+    for place in ("", "*/"):
+        for left in folder.glob(f"{place}.*{_PARTIAL}*"):
+            left.unlink()
 
 
 def _link(source: Path, temporary: Path) -> None:

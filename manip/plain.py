@@ -7,7 +7,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from manip.errors import UserError, unknown
+from manip.errors import UserError, shown, unknown
 
 Built = TypeVar("Built")
 
@@ -22,13 +22,16 @@ def build(cls: type[Built], values: Any) -> Built:
         UserError: a name is unknown or missing, or a value is of another type.
     """
     if not isinstance(values, Mapping):
-        raise UserError(f"options of {cls.__name__} must be a mapping, not {values!r}")
+        raise UserError(
+            f"options of {cls.__name__} must be a mapping, not {shown(values)}"
+        )
     hints = get_type_hints(cls)
     for name, value in values.items():
         if name not in hints:
             raise unknown(f"{cls.__name__} option", name, hints)
         if not _fits(value, hints[name]):
-            raise UserError(f"{name} must be {_words(hints[name])}, not {value!r}")
+            said = f"{_words(hints[name])}, not {shown(value)}"
+            raise UserError(f"{name} must be {said}")
     for field in fields(cls):  # type: ignore[arg-type]
         unset = field.default is MISSING and field.default_factory is MISSING
         if unset and field.name not in values:

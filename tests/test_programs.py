@@ -31,6 +31,11 @@ TINY = [
     *("--agent.actor-hidden", "8", "--agent.critic-hidden", "8"),
 ]
 
+LAUGHS = "task:\n- &a0 [ha]\n" + "".join(
+    f"- &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 30)
+)
+"""YAML that is short, and huge when written out."""
+
 CONTRACT = {
     *("task", "robot", "algo", "env", "fidelity", "episodes", "seed"),
     *("env_steps_trained", "success", "return_mean", "stages", "seconds", "versions"),
@@ -234,6 +239,7 @@ def refusal(found: Result) -> str:
         ("train --agent.action-scale 1 1", "action_scale has 2 numbers, the action"),
         ("train Reach", "Unrecognized options: Reach"),
         ("train --out", "Missing value for argument '--out'"),
+        ("train --wandb mine", "--wandb needs a package that is not there"),
         ("train --out /dev/null/x --steps 1", "Not a directory"),
         ("train --resume", "--resume needs --out with a run folder"),
         ("train --resume --out nowhere", "there is no nowhere/config.yaml"),
@@ -276,6 +282,10 @@ def test_mistakes_about_pictures_name_what_exists(manip: Manip, run: Path) -> No
         ("stepz: 3", "did you mean 'steps'"),
         ("steps: many", "steps must be a whole number, not 'many'"),
         ("task: [3]", "task must be text, not [3]"),
+        (f"steps: 0x{'f' * 9000}", "steps must be a whole number, not a number too"),
+        ("9" * 9000, "is damaged: Exceeds the limit"),
+        ("[" * 9000, "is damaged: maximum recursion depth exceeded"),
+        (LAUGHS, "task must be text, not [['ha'], [["),
         ("task: '..:x'", "cannot import task '..:x': TypeError: "),
     ],
 )

@@ -12,7 +12,7 @@ import yaml
 
 from manip.envs.others import OtherTask
 from manip.envs.registry import load_task
-from manip.errors import UserError, unknown
+from manip.errors import UserError, one_line, unknown
 from manip.programs import cli
 from manip.sim.stock import ROBOTS, check_choice
 from manip.training.config import ALGORITHMS, TrainConfig, from_dict, recipe
@@ -65,9 +65,8 @@ def _recorded(out: Path | None) -> TrainConfig:
         raise UserError(f"--resume needs --out with a run folder; there is no {path}")
     try:
         values = yaml.safe_load(path.read_text())
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())
-        raise UserError(f"{path} is damaged: {reason}") from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise UserError(f"{path} is damaged: {one_line(error)}") from error
     if not isinstance(values, dict):
         raise UserError(f"{path} is damaged: it holds no options")
     values.pop("versions", None)

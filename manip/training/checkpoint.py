@@ -104,7 +104,7 @@ def restore(state: dict[str, Any], agent: Agent, collector: Collector) -> None:
         agent.load_extra_state(state["agent"])
         collector.load_state(state["collector"])
         torch.set_rng_state(state["torch_rng"])
-    except (KeyError, RuntimeError, TypeError, ValueError) as error:
+    except Exception as error:  # whatever a file of another kind may lead to
         raise UserError(
             f"the checkpoint is of another configuration: {one_line(error)}"
         ) from error
@@ -136,7 +136,7 @@ class Saving:
         """Size and time of the last checkpoint, in words."""
         size, buffer = path.stat().st_size / 2**20, self.buffer / 2**20
         part = f" ({buffer:,.1f} of them the replay buffer: --no-save-buffer)"
-        whole = f"checkpoint: {size:,.1f} MiB{part if buffer else ''}"
+        whole = f"checkpoint: {size:,.1f} MiB{part if buffer > size / 10 else ''}"
         return f"{whole}, written in {self._took:.1f} s"
 
     def __enter__(self) -> None:

@@ -2,10 +2,12 @@
 
 import csv
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 from torchrl.record.loggers import Logger, TensorboardLogger
 
+from manip.errors import UserError
 from manip.files import replace_file
 
 Row = Mapping[str, float]
@@ -53,6 +55,15 @@ def read_metrics(path: Path) -> list[dict[str, str]]:
     with path.open(newline="") as file:
         whole = [line for line in file if line.endswith("\n")]
     return list(csv.DictReader(whole))
+
+
+def check_wandb(project: str | None) -> None:
+    """Raise `UserError` if Weights & Biases is asked for and not there."""
+    if project is not None and find_spec("wandb") is None:
+        raise UserError(
+            "--wandb needs a package that is not there: pip install wandb, or leave "
+            "the option out"
+        )
 
 
 class RunLog:

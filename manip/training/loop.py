@@ -26,7 +26,7 @@ from manip.training.checkpoint import Checkpoints, Saving, restore, size_of, sta
 from manip.training.config import TrainConfig, check_lasting, lasting, to_dict
 from manip.training.guard import Guard
 from manip.training.leaving import Interruptible, locked
-from manip.training.logs import Row, RunLog
+from manip.training.logs import Row, RunLog, check_wandb
 from manip.training.progress import TrainingProgress
 from manip.training.rollout import Collector
 from manip.versions import versions
@@ -52,6 +52,7 @@ class Trainer:
         self.folder = config.folder
         self.checkpoints = Checkpoints(self.folder)
         _check_folder(self.folder, self.checkpoints, config.resume)
+        check_wandb(config.wandb)
         self.envs = training_envs(config)
         self.judge = evaluation_env(config)
         self.agent = build_agent(config, self.judge)
