@@ -2,7 +2,9 @@
 
 import pickle
 import shutil
+import sys
 from collections.abc import Callable
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -16,8 +18,10 @@ from test_policy import make_policy
 from toy import QUICK_SAC, make_agent
 
 from manip.agents.policy import WEIGHTS, load_policy
+from manip.envs.faults import Fault
+from manip.envs.native import DUMP_FORMAT
 from manip.errors import DamagedError
-from manip.programs import cli, evaluate, replay, train
+from manip.programs import cli, evaluate, render, replay, train
 from manip.training.checkpoint import FORMAT, Checkpoints
 from manip.trees import save_tree
 
@@ -151,6 +155,33 @@ def test_bombs_in_every_slot_never_go_off(run, wrap, open_up, tmp_path, capfd) -
     assert not mark.exists()
     open_up(slots(folder)[0].read_bytes())
     assert mark.exists()
+
+
+def test_code_beside_the_files_of_a_run_is_never_imported(
+    run, tmp_path, monkeypatch, capfd
+) -> None:
+    folder, mark = tmp_path / "run", tmp_path / "mark"
+    shutil.copytree(run, folder)
+    (folder / "evil.py").write_text(f"open({str(mark)!r}, 'w')")
+    policy = load_policy(folder)
+    card = replace(policy.card, task="evil:Task")
+    replace(policy, card=card).save(folder / "policy")
+    config = folder / "config.yaml"
+    config.write_text(config.read_text().replace("task: Reach", "task: evil:Task"))
+    (dump,) = (folder / "dumps").iterdir()
+    fault = Fault("Task", "physics", 0, 0, 1)._asdict()
+    save_tree(dump, {"format": DUMP_FORMAT, "fault": fault, "task": "evil:Task"})
+    for here in (folder, folder.parent):
+        monkeypatch.chdir(here)
+        monkeypatch.setattr(sys, "path", [*sys.path, str(folder)])
+        found = [*use(folder), cli.run(evaluate.main, [str(folder / "policy")])]
+        found += [cli.run(render.main, [str(folder), "--steps", "1"])]
+        assert found == [2] * 5
+        said = capfd.readouterr().err.splitlines()
+        assert len(said) == 5
+        for line in said:
+            assert f"task 'evil:Task' would run {folder / 'evil.py'}, which" in line
+    assert not mark.exists()
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from importlib.metadata import entry_points
+from importlib.util import find_spec
 from inspect import get_annotations
 from pathlib import Path
 
@@ -39,10 +40,41 @@ def load_task(name: str) -> Task:
     raise unknown("task", name, found)
 
 
-def _find(path: str) -> object:
-    module, _, attribute = path.partition(":")
+def check_origin(name: str, folder: Path) -> None:
+    """Refuse to import a task that a file names from the run folder around that file.
+
+    Raises:
+        UserError: what `module:Class` names is code that came along with the file.
+    """
+    whole = folder.resolve()
+    run = whole.parent if (whole.parent / "config.yaml").is_file() else whole
+    for place in _places(name.partition(":")[0].split(".")[0]) if ":" in name else ():
+        if Path(place).resolve().is_relative_to(run):
+            raise UserError(
+                f"task {name!r} would run {place}, which came along with {folder}: if "
+                "you trust it, move it out of there"
+            )
+
+
+def _places(module: str) -> list[str]:
+    """Where a module would be imported from, without importing it."""
+    _look_here()
+    try:
+        spec = find_spec(module)
+    except ValueError:
+        return []
+    inside = spec and spec.submodule_search_locations
+    return [place for place in (spec and spec.origin, *(inside or ())) if place]
+
+
+def _look_here() -> None:
     if str(Path.cwd()) not in sys.path:
         sys.path.append(str(Path.cwd()))  # as `python -m` does
+
+
+def _find(path: str) -> object:
+    module, _, attribute = path.partition(":")
+    _look_here()
     return getattr(importlib.import_module(module), attribute)
 
 

@@ -12,7 +12,7 @@ from rich.progress import Progress
 
 from manip.agents.policy import Policy, load_policy
 from manip.envs.others import library_of
-from manip.envs.registry import load_task
+from manip.envs.registry import check_origin, load_task
 from manip.errors import at_least
 from manip.evaluation.episodes import Episode
 from manip.evaluation.evaluate import Where, native_episodes, stock_episodes, timed
@@ -63,6 +63,7 @@ def evaluate(options: Evaluate) -> Evaluation:
     at_least(0, "--seed", options.seed)
     policy = load_policy(options.run)
     card = policy.card
+    check_origin(card.task, options.run)
     task = load_task(card.task)
     episodes, seconds = timed(lambda: _episodes(options, policy))
     return Evaluation(

@@ -10,7 +10,7 @@ import tyro
 from tensordict import TensorDictBase
 
 from manip.agents.policy import load_policy
-from manip.envs.registry import load_task
+from manip.envs.registry import check_origin, load_task
 from manip.envs.torchrl import NativeEnv
 from manip.errors import at_least
 from manip.evaluation.episodes import run_episodes
@@ -58,6 +58,7 @@ def film(options: Render) -> None:
     at_least(0, "--seed", options.seed)
     policy = load_policy(options.run)
     card = policy.card
+    check_origin(card.task, options.run)
     env = NativeEnv(
         load_task(card.task),
         options.episodes,

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from manip.envs.faults import Fault
 from manip.envs.native import DUMP_FORMAT, NativeWorlds
-from manip.envs.registry import load_task
+from manip.envs.registry import check_origin, load_task
 from manip.errors import UserError, one_line
 from manip.programs import cli
 from manip.sim.engine import Snapshot
@@ -42,9 +42,12 @@ def main(arguments: Sequence[str]) -> int:
         raise UserError(f"{options.dump} is not a step that a run kept")
     try:
         recorded = Fault(**dump["fault"])
+        check_origin(dump["task"], options.dump.parent)
         worlds = _world(dump)
         before = _motion(worlds)
         worlds.step(dump["action"][None])
+    except UserError:
+        raise
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise UserError(
             f"{options.dump} does not fit this version: {one_line(error)}"

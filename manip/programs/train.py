@@ -11,7 +11,7 @@ import tyro
 import yaml
 
 from manip.envs.others import OtherTask
-from manip.envs.registry import load_task
+from manip.envs.registry import check_origin, load_task
 from manip.errors import UserError, one_line, unknown
 from manip.programs import cli
 from manip.sim.stock import ROBOTS, check_choice
@@ -70,4 +70,6 @@ def _recorded(out: Path | None) -> TrainConfig:
     if not isinstance(values, dict):
         raise UserError(f"{path} is damaged: it holds no options")
     values.pop("versions", None)
-    return from_dict(values | {"out": str(out), "resume": True})
+    config = from_dict(values | {"out": str(out), "resume": True})
+    check_origin(config.task, out)
+    return config
