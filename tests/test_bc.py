@@ -11,12 +11,12 @@ from torch import Tensor
 from torchrl.envs import check_env_specs
 
 from manip.agents.agent import Spaces
-from manip.agents.bc import BC, BCConfig, Disturbed
+from manip.agents.bc import BC, BCConfig, Demonstration
 from manip.envs.task import Task
 from manip.envs.torchrl import NativeEnv
 from manip.errors import UserError
 from manip.sim.model import Scene
-from manip.training.build import training_env
+from manip.training.build import training_envs
 from manip.training.config import from_dict
 
 SPACES = Spaces(observation_dim=1, action_dim=2)
@@ -68,14 +68,14 @@ def test_it_learns_what_it_is_shown() -> None:
 
 
 def disturbed(noise: float, lasting: int, steps: int) -> Tensor:
-    """[steps, 5, 1]: actions of five worlds in which the script rests."""
-    policy = Disturbed(noise, lasting)
-    rest = TensorDict({"script": torch.zeros(5, 1)}, 5)
+    """[steps, 5, 2]: actions of five worlds in which the script rests."""
+    policy = Demonstration(agent_of().actor, noise, lasting, clones=0.0)
+    rest = TensorDict({"observation": torch.ones(5, 1), "script": torch.zeros(5, 2)}, 5)
     return torch.stack([policy(rest.clone())["action"] for _ in range(steps)])
 
 
 def test_noise_grows_from_none_in_the_first_world() -> None:
-    spread = disturbed(0.2, 1, 4_000).std(0).flatten()
+    spread = disturbed(0.2, 1, 4_000).std(0)[:, 0]
     expected = torch.tensor([0.0, 0.05, 0.1, 0.15, 0.2])
     torch.testing.assert_close(spread, expected, atol=0.01, rtol=0)
 
@@ -88,6 +88,16 @@ def test_noise_lasts_as_long_as_it_should() -> None:
 
 def test_disturbed_actions_stay_in_range() -> None:
     assert disturbed(5.0, 2, 200).abs().max() == 1.0
+
+
+def test_the_clone_acts_in_the_last_worlds_once_it_has_learned() -> None:
+    agent = agent_of(replace(QUICK, noise=0.0, clones=0.4))
+    now = shown(5).squeeze(0)
+    assert torch.equal(agent.policy()(now.clone())["action"], now["script"])
+    agent.update(shown(64))
+    action, own = agent.policy()(now.clone())["action"], agent.actor.decide
+    assert torch.equal(action[:3], now["script"][:3])
+    assert torch.equal(action[3:], own(now["observation"][3:]))
 
 
 # What the worlds say
@@ -114,4 +124,4 @@ def test_a_task_without_a_script_says_so(scene_of) -> None:
 def test_scripts_keep_to_their_action_space(tmp_path: Path) -> None:
     options = {"algo": "bc", "controller": "JOINT_POSITION", "out": str(tmp_path)}
     with pytest.raises(UserError, match="OSC_POSE actions, not JOINT_POSITION"):
-        training_env(from_dict(options))
+        training_envs(from_dict(options))

@@ -1,15 +1,18 @@
 """Behaviour cloning of a task's script (Pomerleau 1989), on TorchRL's BCLoss.
 
-    actor: min |pi(s) - a*(s)|,  s ~ episodes of the script, disturbed
+    actor: min |pi(s) - a*(s)|,  s ~ episodes of the script, disturbed, and of the clone
 
-a* is what the script would do in s. Noise in what it does instead takes it to states
-from which it shows the way back, as in DART (Laskey et al. 2017, arXiv 1703.09327):
-without, the clone would know none once it has strayed. The noise grows from world to
-world, from none in the first one on.
+a* is what the script would do in s. Both kinds of states are such that it shows the way
+back from them; without, the clone would know none once it has strayed. In some worlds
+the script acts, with noise as in DART (Laskey et al. 2017, arXiv 1703.09327) that grows
+from world to world, from none in the first one on. In the others, once something is
+learned, the clone acts and the script only tells what it would do: DAgger (Ross et al.
+2011, arXiv 1011.0686).
 """
 
 import warnings
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,6 +42,8 @@ class BCConfig:
     """Standard deviation of the actions' noise in the last world."""
     noise_steps: int = 10
     """Control steps for which noise lasts, on average, before it is drawn anew."""
+    clones: float = 0.5
+    """Share of the worlds in which the clone acts, from the second rollout on."""
     rollout_length: int = 32
     """Control steps of every world between two rounds of updates."""
     updates_per_step: float = 0.5
@@ -53,24 +58,37 @@ class BCConfig:
     """Steps that are kept."""
 
 
-class Disturbed(TensorDictModuleBase):
-    """Does what the script says, with noise that lasts for a while."""
+class Demonstration(TensorDictModuleBase):
+    """What the script says, with noise that lasts for a while; or what its clone does.
 
-    in_keys = ["script"]
+    Args:
+        clones: share of the worlds, the last ones, in which the clone acts.
+    """
+
+    in_keys = ["observation", "script"]
     out_keys = ["action"]
 
-    def __init__(self, noise: float, noise_steps: int) -> None:
+    def __init__(
+        self, actor: Actor, noise: float, noise_steps: int, clones: float
+    ) -> None:
         super().__init__()
+        self._actor, self._clones = deepcopy(actor), clones
         self._noise, self._renewed = noise, 1 / noise_steps
         self._generator = seeded()
         self._offset: Tensor | None = None
 
+    @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write `action` [N, A]."""
-        wanted = tensordict["script"]
-        level = torch.linspace(0, self._noise, len(wanted))[:, None]
-        action = wanted + level * self._offsets(wanted.shape)
+        seen, wanted = tensordict["observation"], tensordict["script"]
+        first = len(wanted) - round(self._clones * len(wanted))
+        own = self._actor.decide(seen[first:])
+        action = torch.cat([self._disturbed(wanted[:first]), own])
         return tensordict.set("action", action.clamp(-1, 1))
+
+    def _disturbed(self, wanted: Tensor) -> Tensor:
+        level = torch.linspace(0, self._noise, len(wanted))[:, None]
+        return wanted + level * self._offsets(wanted.shape)
 
     def _offsets(self, shape: torch.Size) -> Tensor:
         drawn = torch.randn(shape, generator=self._generator)
@@ -105,8 +123,10 @@ class BC(Agent):
         self._owed = 0.0
 
     def policy(self) -> TensorDictModuleBase:
-        """The script, disturbed."""
-        return Disturbed(self.config.noise, self.config.noise_steps)
+        """The script, disturbed, and once something is learned the clone."""
+        config = self.config
+        clones = config.clones if len(self._buffer) else 0.0
+        return Demonstration(self.actor, config.noise, config.noise_steps, clones)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Store the rollout [N, T]; then as many updates as its steps call for."""

@@ -18,7 +18,7 @@ RANGES: dict[str, tuple[float, float]] = {
     **dict.fromkeys(("actor_hidden", "critic_hidden"), COUNT),
     **dict.fromkeys(("random_steps", "conjugate_steps", "backtracks"), (0, 10**10)),
     **dict.fromkeys(("own_starts", "cool_down", "gamma", "gae_lambda", "tau"), SHARE),
-    **dict.fromkeys(("actor_average", "gripper_bursts", "epsilon"), SHARE),
+    **dict.fromkeys(("actor_average", "gripper_bursts", "epsilon", "clones"), SHARE),
     **dict.fromkeys(("learning_rate", "updates_per_step", "max_gradient"), NUMBER),
     **dict.fromkeys(("entropy_coefficient", "clip"), NUMBER),
     **dict.fromkeys(("max_kl", "target_kl", "damping", "beta"), NUMBER),
