@@ -1,5 +1,6 @@
 """REINFORCE and A2C: returns and gradients by hand, learning."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -10,6 +11,8 @@ from torch.distributions import Normal
 from torchrl.modules import ValueOperator
 from toy import (
     QUICK_A2C,
+    QUICK_PPO,
+    QUICK_PPO_KL,
     QUICK_REINFORCE,
     make_agent,
     mean_return,
@@ -93,6 +96,15 @@ def test_a2c_follows_advantages_and_entropy(n_step: int | None) -> None:
     log_prob, error, entropy = terms(agent, batch)
     gain = log_prob * batch["advantage"] + 0.002 * entropy
     assert_gradient(agent, (0.5 * error - gain).mean())
+
+
+@pytest.mark.parametrize("config", [QUICK_A2C, QUICK_PPO, QUICK_PPO_KL])
+def test_the_entropy_bonus_can_be_left_out(config: AgentConfig) -> None:
+    agent = make_agent(replace(config, entropy_coefficient=0.0), seed=0)
+    before = agent._params.detach().clone()
+    told = agent.update(rollout_of(agent))
+    assert all(map(math.isfinite, told.values()))
+    assert not torch.equal(agent._params, before)
 
 
 @pytest.mark.parametrize(

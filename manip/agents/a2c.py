@@ -18,7 +18,7 @@ from torchrl.objectives import A2CLoss
 from torchrl.objectives.value import GAE
 
 from manip.agents.agent import Spaces
-from manip.agents.on_policy import OnPolicy, OnPolicyConfig
+from manip.agents.on_policy import OnPolicy, OnPolicyConfig, losses
 from manip.agents.returns import n_step_advantages
 
 
@@ -55,10 +55,9 @@ class A2C(OnPolicy):
 
     def differentiate(self, batch: TensorDictBase) -> dict[str, float]:
         """Leave the loss's gradient in `gradient`, of a rollout [N, T] with values."""
-        found = self._loss(self._estimate(batch).reshape(-1))
-        names = ("loss_objective", "loss_critic", "loss_entropy")
-        self._differentiate(sum(found[name] for name in names))
-        return {name: found[name].item() for name in names}
+        found = losses(self._loss(self._estimate(batch).reshape(-1)))
+        self._differentiate(sum(found.values()))
+        return {name: part.item() for name, part in found.items()}
 
     def load(self, other: "A2C") -> None:
         """Become a copy of another agent of this kind."""

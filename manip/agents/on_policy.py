@@ -4,7 +4,7 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 from tensordict import TensorDictBase
@@ -156,6 +156,11 @@ class OnPolicy(Agent):
         """A step down the gradient that the parameters hold."""
         nn.utils.clip_grad_norm_([self._params], self._max_gradient)
         self._optim.step()
+
+
+def losses(found: TensorDictBase) -> dict[str, Any]:
+    """What a loss is the sum of; TorchRL leaves an entropy bonus of weight 0 out."""
+    return {name: part for name, part in found.items() if name.startswith("loss_")}
 
 
 def minibatches(samples: Samples, count: int) -> Sequence[Samples]:

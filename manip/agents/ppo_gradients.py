@@ -12,6 +12,7 @@ from manip.agents.checked import native_if_right
 from manip.agents.flat import zero_gradient
 from manip.agents.kernels import TANH, layout_of
 from manip.agents.networks import Actor, widths_of
+from manip.agents.on_policy import losses
 from manip.agents.parts import PART, Parts, parts_of
 from manip.agents.ppo_kernels import Nets, Work, ppo_gradients, work_for
 
@@ -85,9 +86,7 @@ class AutogradGradients:
         """See `Gradients`."""
         zero_gradient(self._params)
         found = self._loss(self._samples(rows))
-        (
-            found["loss_objective"] + found["loss_entropy"] + found["loss_critic"]
-        ).backward()
+        sum(losses(found).values()).backward()
         names = (*Told._fields[:3], "kl_approx", "clip_fraction")
         return Told(*(found.get(name, torch.zeros(())).item() for name in names))
 

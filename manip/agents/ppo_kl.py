@@ -23,7 +23,7 @@ from torchrl.objectives.value import GAE
 
 from manip.agents.agent import Spaces
 from manip.agents.networks import Actor
-from manip.agents.on_policy import OnPolicy, OnPolicyConfig, minibatches
+from manip.agents.on_policy import OnPolicy, OnPolicyConfig, losses, minibatches
 from manip.agents.policy import load_policy
 from manip.errors import UserError
 
@@ -94,10 +94,9 @@ class PPOKL(OnPolicy):
         return {"kl_reference": apart.mean().item()}
 
     def _improve(self, samples: TensorDictBase) -> dict[str, float]:
-        found = self._loss(samples)
-        names = ("loss_objective", "loss_critic", "loss_entropy")
-        self._descend(sum(found[name] for name in names))
-        return {name: found[name].item() for name in names}
+        found = losses(self._loss(samples))
+        self._descend(sum(found.values()))
+        return {name: part.item() for name, part in found.items()}
 
     @torch.no_grad()
     def _adapt(self, samples: TensorDictBase) -> dict[str, float]:
