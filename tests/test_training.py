@@ -74,7 +74,7 @@ ROLLOUT = {
 }
 """Control steps between two updates."""
 ROLLOUT["a3c"] //= 2
-TIMES = ("seconds", "steps_per_second")
+TIMES = ("seconds", "cpu_seconds", "steps_per_second")
 """Columns that depend on the clock."""
 
 by_algorithm = pytest.mark.parametrize(

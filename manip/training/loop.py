@@ -43,6 +43,8 @@ class Trainer:
 
     Attributes:
         env_steps: control steps taken so far, all worlds together.
+        seconds: wall time so far, with evaluations.
+        cpu_seconds: computing time so far, without evaluations, of all threads.
         stopping: set by Ctrl-C or SIGTERM: the run saves and leaves.
     """
 
@@ -62,6 +64,7 @@ class Trainer:
         self._learned: dict[str, float] = {}
         self.env_steps = 0
         self.seconds = 0.0
+        self.cpu_seconds = 0.0
         self._best = (-1.0, -np.inf)
         self._saving = Saving(config.checkpoint_every)
         self._told = 0
@@ -96,7 +99,9 @@ class Trainer:
         began = time.monotonic() - self.seconds
         while self.env_steps < self.config.steps and not self.stopping:
             due = self._next_evaluation()
+            used = time.process_time()
             self._advance()
+            self.cpu_seconds += time.process_time() - used
             self._tell_faults(progress)
             self.seconds = time.monotonic() - began
             progress.update(self.env_steps, self._training_averages())
@@ -165,9 +170,9 @@ class Trainer:
 
     def _record(self, values: dict[str, float], progress: TrainingProgress) -> None:
         speed = progress.speed(self.env_steps)
-        row = {"seconds": self.seconds, "steps_per_second": speed}
+        row = {"seconds": self.seconds, "cpu_seconds": self.cpu_seconds}
         lost = sum(env.worlds.fault_count for env in self.envs)
-        row |= {"faults": lost + self._guard.count}
+        row |= {"steps_per_second": speed, "faults": lost + self._guard.count}
         row |= self._training_averages() | values
         row |= {f"learn/{name}": value for name, value in self._learned.items()}
         self._log.write(self.env_steps, row)
@@ -190,6 +195,7 @@ class Trainer:
         progress = {
             "env_steps": self.env_steps,
             "seconds": self.seconds,
+            "cpu_seconds": self.cpu_seconds,
             "best": list(self._best),
             "lost_updates": self._guard.count,
             "learned": self._learned,
@@ -221,6 +227,7 @@ class Trainer:
     def _take_up(self, progress: dict[str, Any]) -> list[Row]:
         self.env_steps = int(progress["env_steps"])
         self.seconds = float(progress["seconds"])
+        self.cpu_seconds = float(progress["cpu_seconds"])
         self._best = tuple(progress["best"])
         self._guard.count = int(progress["lost_updates"])
         self._learned = progress["learned"]
