@@ -1,6 +1,7 @@
 """Studies: what they measure, on numbers that are known; the program."""
 
 import csv
+from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 
@@ -51,15 +52,19 @@ def test_a_baseline_takes_noise_away_and_the_longest_n_is_the_return() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("what", "options", "rows"),
+    ("what", "options", "rows", "pictures"),
     [
-        ("variance", ["--stages", "0", "512", "--rollouts", "4"], 2 * 2 * 8),
-        ("bias", ["--stages", "0", "512", "--rollouts", "4"], 2 * 2 * 8),
-        ("clipping", ["--steps", "4096"], 2 * 6),
+        (
+            "gradients",
+            ["--stages", "0", "512", "--rollouts", "4"],
+            2 * 2 * 8,
+            ("variance", "bias"),
+        ),
+        ("clipping", ["--steps", "4096"], 2 * 6, ("clipping",)),
     ],
 )
-def test_a_study_leaves_a_table_and_a_picture(
-    what: str, options: list[str], rows: int, tmp_path: Path
+def test_a_study_leaves_a_table_and_its_pictures(
+    what: str, options: list[str], rows: int, pictures: Sequence[str], tmp_path: Path
 ) -> None:
     arguments = [what, "--seeds", "2", "--out", str(tmp_path), *options]
     assert cli.run(study.main, arguments) == 0
@@ -69,4 +74,5 @@ def test_a_study_leaves_a_table_and_a_picture(
     assert {row["seed"] for row in found} == {"0", "1"}
     pairs = [(row["seed"], row.get("weight") or row["variant"]) for row in found]
     assert set(pairs) == set(product(*map(set, zip(*pairs, strict=True))))
-    assert (tmp_path / f"{what}.png").stat().st_size > 10_000
+    for name in pictures:
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000

@@ -1,7 +1,7 @@
 """`manip study`: what the lesson on policy gradients claims, measured on an arm."""
 
 import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from io import StringIO
 from itertools import chain
@@ -23,31 +23,39 @@ from manip.studies.learning import (
     clipping_variants,
     evaluations,
 )
+from manip.training.config import ALGORITHMS
+
+Measured = Callable[["Study"], list[Any]]
+Pictures = Mapping[str, Callable[[Sequence[Any], Path], None]]
 
 
 @dataclass(frozen=True)
 class Study:
     """Run a study with several seeds; leaves a table (.csv) and a picture (.png).
 
-    variance: noise of the gradient: REINFORCE, with a baseline, actor-critic.
-    bias: noise and bias of the gradient against n of n-step returns.
+    gradients: their noise (REINFORCE, with a baseline, actor-critic), and noise and
+        bias against n of n-step returns: variance.png and bias.png.
     clipping: PPO's epochs with and without clipping.
-    algorithms: all of them, success against control steps and wall time.
+    algorithms: all of them, success against control steps and computing time.
     """
 
     what: Annotated[
-        Literal["variance", "bias", "clipping", "algorithms"], tyro.conf.Positional
+        Literal["gradients", "clipping", "algorithms"], tyro.conf.Positional
     ]
     """Which study."""
     tasks: tuple[str, ...] = ("Reach",)
     """Tasks; each but `algorithms` takes the first."""
+    algos: tuple[str, ...] = tuple(algo for algo in ALGORITHMS if algo != "bc")
+    """What `algorithms` compares; all that learn from rewards unless given."""
     seeds: int = 3
     """Runs of each variant, with seeds 0, 1, ..."""
     steps: int | None = None
     """Control steps of a run; as many as its recipe has unless given."""
-    stages: tuple[int, ...] = (10_000, 100_000, 300_000)
+    stages: tuple[int, ...] = (5_000, 20_000, 80_000)
     """Control steps of training after which gradients are looked at."""
-    rollouts: int = 100
+    gamma: float = 0.97
+    """Discount of the gradients that are looked at."""
+    rollouts: int = 60
     """Rollouts that gradients are estimated from, one each."""
     length: int = 40
     """Control steps of such a rollout, of every world."""
@@ -62,22 +70,28 @@ def main(arguments: Sequence[str]) -> int:
         at_least(1, f"--{name}", getattr(options, name))
     for task in options.tasks:
         load_task(task)
-    found = STUDIES[options.what](options)
-    table, picture = (options.out / f"{options.what}.{end}" for end in ("csv", "png"))
+    measured, pictures = STUDIES[options.what]
+    found = measured(options)
+    table = options.out / f"{options.what}.csv"
     write_text(table, _table(found))
-    _draw(options, found, picture)
-    Console().print(f"{table}\n{picture}", highlight=False)
+    Console().print(str(table), highlight=False)
+    for name, draw in pictures.items():
+        picture = options.out / f"{name}.png"
+        draw(found, picture)
+        Console().print(str(picture), highlight=False)
     return 0
 
 
 def _gradients(options: Study) -> list[Found]:
-    return [
-        row
-        for seed in range(options.seeds)
-        for row in measure(
-            options.tasks[0], seed, options.stages, options.rollouts, options.length
-        )
-    ]
+    task, found = options.tasks[0], []
+    for seed in range(options.seeds):
+        for stage in measure(
+            task, seed, options.gamma, options.stages, options.rollouts, options.length
+        ):
+            found += stage
+            told = f"seed {seed}: {options.rollouts} gradients after"
+            Console().print(f"{told} {stage[0].env_steps:,} steps", highlight=False)
+    return found
 
 
 def _clipping(options: Study) -> list[Evaluated]:
@@ -88,7 +102,7 @@ def _clipping(options: Study) -> list[Evaluated]:
 def _algorithms(options: Study) -> list[Evaluated]:
     runs = (
         evaluations(
-            algorithm_variants(task, options.steps),
+            algorithm_variants(task, options.algos, options.steps),
             range(options.seeds),
             options.out / "runs",
         )
@@ -97,20 +111,14 @@ def _algorithms(options: Study) -> list[Evaluated]:
     return list(chain.from_iterable(runs))
 
 
-STUDIES: dict[str, Callable[[Study], list[Any]]] = {
-    "variance": _gradients,
-    "bias": _gradients,
-    "clipping": _clipping,
-    "algorithms": _algorithms,
+STUDIES: dict[str, tuple[Measured, Pictures]] = {
+    "gradients": (
+        _gradients,
+        {"variance": figures.draw_variance, "bias": figures.draw_bias},
+    ),
+    "clipping": (_clipping, {"clipping": figures.draw_clipping}),
+    "algorithms": (_algorithms, {"algorithms": figures.draw_algorithms}),
 }
-
-
-def _draw(options: Study, found: list[Any], path: Path) -> None:
-    if options.what == "algorithms":
-        figures.draw_algorithms(found, path)
-        return
-    draw = getattr(figures, f"draw_{options.what}")
-    draw(found, options.tasks[0], path)
 
 
 def _table(found: Sequence[Any]) -> str:

@@ -25,14 +25,14 @@ ESTIMATES = {
 N_OF = {f"n = {n}": n for n in NS}
 
 
-def draw_variance(found: Sequence[Found], task: str, path: Path) -> None:
+def draw_variance(found: Sequence[Found], path: Path) -> None:
     """Noise of the gradient: REINFORCE, with a baseline, and actor-critic."""
     figure, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
     for weight, label in ESTIMATES.items():
         rows = [row for row in found if row.weight == weight]
         _line(axes, rows, _thousands, lambda row: row.noise, label)
     axes.set(
-        title=f"Noise of one gradient estimate, {task}",
+        title=f"Noise of one gradient estimate, {found[0].task}",
         xlabel="control steps of training [thousand]",
         ylabel="trace of covariance / |mean|²",
         yscale="log",
@@ -40,7 +40,7 @@ def draw_variance(found: Sequence[Found], task: str, path: Path) -> None:
     _save(figure, [axes], path)
 
 
-def draw_bias(found: Sequence[Found], task: str, path: Path) -> None:
+def draw_bias(found: Sequence[Found], path: Path) -> None:
     """Noise and bias of the gradient against n, at each stage of training."""
     figure, sides = plt.subplots(1, 2, figsize=(10, 4.5), layout="constrained")
     for steps in sorted({row.env_steps for row in found}):
@@ -52,11 +52,11 @@ def draw_bias(found: Sequence[Found], task: str, path: Path) -> None:
         axes.set_xscale("log", base=2)
         axes.set(title=title, xlabel="n", ylabel="relative to |mean gradient|²")
         axes.set_yscale("log")
-    figure.suptitle(f"Estimates from n rewards and the critic, {task}")
+    figure.suptitle(f"Estimates from n rewards and the critic, {found[0].task}")
     _save(figure, list(sides), path)
 
 
-def draw_clipping(found: Sequence[Evaluated], task: str, path: Path) -> None:
+def draw_clipping(found: Sequence[Evaluated], path: Path) -> None:
     """Success, and how far updates go, against control steps."""
     figure, sides = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
     for variant in dict.fromkeys(row.variant for row in found):
@@ -68,12 +68,12 @@ def draw_clipping(found: Sequence[Evaluated], task: str, path: Path) -> None:
     sides[1].set(ylabel="KL divergence of an update", yscale="log")
     for axes in sides:
         axes.set(xlabel="control steps [thousand]")
-    figure.suptitle(f"PPO's epochs with and without clipping, {task}")
+    figure.suptitle(f"PPO's epochs with and without clipping, {found[0].task}")
     _save(figure, list(sides), path)
 
 
 def draw_algorithms(found: Sequence[Evaluated], path: Path) -> None:
-    """Success against control steps and against wall time, a row a task."""
+    """Success against control steps and against computing time, a row a task."""
     tasks = list(dict.fromkeys(row.task for row in found))
     size = (11, 4.5 * len(tasks))
     figure, grid = plt.subplots(
@@ -84,9 +84,9 @@ def draw_algorithms(found: Sequence[Evaluated], path: Path) -> None:
         for algo in dict.fromkeys(row.variant for row in of_task):
             rows = [row for row in of_task if row.variant == algo]
             _line(pair[0], rows, _thousands, _percent, algo)
-            _line(pair[1], rows, lambda row: row.seconds, _percent, algo)
+            _line(pair[1], rows, lambda row: row.cpu_seconds, _percent, algo)
         pair[0].set(xlabel="control steps [thousand]")
-        pair[1].set(xlabel="training time [s]")
+        pair[1].set(xlabel="computing time [CPU s]")
         for axes in pair:
             axes.set(title=task, ylabel="success held [%]", ylim=(-3, 103))
             axes.set_xscale("log")

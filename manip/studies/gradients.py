@@ -22,7 +22,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.objectives.value import GAE
 
-from manip.agents.a2c import A2C
+from manip.agents.a2c import A2C, A2CConfig
 from manip.agents.returns import add_values, n_step_advantages
 from manip.training.build import build_agent, training_envs
 from manip.training.config import recipe
@@ -39,6 +39,7 @@ BASELINE = "R - V"
 class Found:
     """Noise and bias of one weight, for one seed after so many steps of training."""
 
+    task: str
     seed: int
     env_steps: int
     weight: str
@@ -47,15 +48,23 @@ class Found:
 
 
 def measure(
-    task: str, seed: int, stages: Sequence[int], rollouts: int, length: int
-) -> Iterator[Found]:
+    task: str,
+    seed: int,
+    gamma: float,
+    stages: Sequence[int],
+    rollouts: int,
+    length: int,
+) -> Iterator[list[Found]]:
     """Train A2C and stop at every stage [control steps] to look at its gradients.
 
     Args:
+        gamma: discount of A2C, and of the gradients.
         rollouts: collected with the policy of each stage, of `length` control steps of
             every world.
     """
-    config = replace(recipe(task, "a2c"), seed=seed)
+    tuned = recipe(task, "a2c")
+    assert isinstance(tuned.agent, A2CConfig)
+    config = replace(tuned, seed=seed, agent=replace(tuned.agent, gamma=gamma))
     (env,) = training_envs(config)
     agent = build_agent(config, env)
     assert isinstance(agent, A2C)
@@ -67,8 +76,10 @@ def measure(
             agent.update(found.batch)
         gradients = _sample(agent, rollout, rollouts, length)
         reference = gradients[BASELINE]
-        for weight, sample in gradients.items():
-            yield Found(seed, steps, weight, *_compare(sample, reference))
+        yield [
+            Found(task, seed, steps, weight, *_compare(sample, reference))
+            for weight, sample in gradients.items()
+        ]
 
 
 def _sample(agent: A2C, rollout: Rollout, count: int, length: int) -> dict[str, Tensor]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from manip.agents.ppo import PPOConfig
-from manip.training.config import ALGORITHMS, TrainConfig, recipe
+from manip.training.config import TrainConfig, recipe
 from manip.training.logs import read_metrics
 from manip.training.loop import Trainer
 
@@ -16,13 +16,16 @@ CLIPS = (0.2, None)
 
 @dataclass(frozen=True)
 class Evaluated:
-    """One evaluation of one run; kl is that of the update before, where it is told."""
+    """One evaluation of one run, after so much computing time.
+
+    kl is that of the update before, where it is told.
+    """
 
     task: str
     variant: str
     seed: int
     env_steps: int
-    seconds: float
+    cpu_seconds: float
     held: float
     kl: float
 
@@ -32,11 +35,11 @@ def clipping_variants(task: str, steps: int | None) -> dict[str, TrainConfig]:
     base = recipe(task, "ppo")
     agent = base.agent
     assert isinstance(agent, PPOConfig)
-    base = replace(base, steps=steps or base.steps)
+    base = replace(base, steps=steps or base.steps, cool_down=0.0)
     return {
         f"{epochs} epochs, " + (f"clip {clip}" if clip else "no clip"): replace(
             base,
-            eval_every=max(1, base.steps // 8),
+            eval_every=max(1, base.steps // 5),
             agent=replace(agent, epochs=epochs, clip=clip, target_kl=None),
         )
         for clip in CLIPS
@@ -44,9 +47,11 @@ def clipping_variants(task: str, steps: int | None) -> dict[str, TrainConfig]:
     }
 
 
-def algorithm_variants(task: str, steps: int | None) -> dict[str, TrainConfig]:
-    """Every algorithm, as its recipe for the task has it."""
-    found = {algo: recipe(task, algo) for algo in ALGORITHMS}
+def algorithm_variants(
+    task: str, algos: Sequence[str], steps: int | None
+) -> dict[str, TrainConfig]:
+    """Algorithms, each as its recipe for the task has it."""
+    found = {algo: recipe(task, algo) for algo in algos}
     return {
         algo: replace(config, steps=steps or config.steps, eval_every=_often(config))
         for algo, config in found.items()
@@ -54,7 +59,7 @@ def algorithm_variants(task: str, steps: int | None) -> dict[str, TrainConfig]:
 
 
 def _often(config: TrainConfig) -> int:
-    return max(1, config.steps // 10)
+    return max(1, config.steps // 5)
 
 
 def evaluations(
@@ -87,7 +92,7 @@ def _evaluated(task: str, variant: str, seed: int, row: Mapping[str, str]) -> Ev
         variant,
         seed,
         int(row["env_steps"]),
-        float(row["seconds"]),
+        float(row["cpu_seconds"]),
         float(row["eval/held"]),
         float(row.get("learn/kl") or math.nan),
     )
