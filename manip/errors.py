@@ -5,6 +5,9 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from numbers import Integral
 
+MOST = 10**10
+"""Nothing is counted beyond: no machine has memory or time for it."""
+
 
 class UserError(ValueError):
     """A mistake in what was asked; programs print it as one line and exit with 2."""
@@ -15,9 +18,11 @@ class DamagedError(UserError):
 
 
 def at_least(least: int, name: str, value: object) -> None:
-    """Raise `UserError` unless the value is a whole number of at least `least`."""
-    if not isinstance(value, Integral) or value < least:
+    """Raise `UserError` unless the value is a whole number from `least` to `MOST`."""
+    if not isinstance(value, Integral) or int(value) < least:
         raise UserError(f"{name} must be at least {least}, not {shown(value)}")
+    if int(value) > MOST:
+        raise UserError(f"{name} must be at most {MOST}, not {shown(value)}")
 
 
 _brief = reprlib.Repr()

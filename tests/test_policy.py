@@ -105,7 +105,11 @@ def test_a_foreign_format_is_refused(card: Any, folder: Path) -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [{"hidden": [8, 9]}, {"hidden": [8]}, {"normalise": False}, {"action_dim": 2}],
+    [
+        *({"hidden": [8, 9]}, {"hidden": [8]}, {"hidden": [10**6, 10**6]}),
+        *({"normalise": False}, {"action_dim": 2}),
+        *({"action_dim": 10**9}, {"action_dim": 10**30}, {"bins": 10**9}),
+    ],
 )
 def test_weights_of_another_network_are_refused(change, folder: Path) -> None:
     rewrite(folder, lambda tree: tree | {"card": tree["card"] | change})

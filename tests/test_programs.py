@@ -247,6 +247,7 @@ def refusal(found: Result) -> str:
         ("evaluate nowhere", "nowhere holds no policy .*is it a run folder"),
         ("evaluate RUN --env gazebo", "Expected one of ('stock', 'native')"),
         ("evaluate RUN --episodes 0", "--episodes must be at least 1, not 0"),
+        (f"evaluate RUN --episodes {10**20}", "--episodes must be at most 10000000000"),
         ("evaluate RUN --seed -1", "--seed must be at least 0, not -1"),
         ("render nowhere", "nowhere holds no policy"),
         ("render RUN --steps 0", "--steps must be at least 1, not 0"),

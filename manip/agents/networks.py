@@ -191,7 +191,7 @@ class BinnedActor(nn.Module):
 
 
 def _scale(given: Sequence[float], action_dim: int) -> Tensor:
-    scale = torch.tensor(given or [1.0] * action_dim)
+    scale = torch.tensor(given) if given else torch.ones(action_dim)
     if scale.shape != (action_dim,):
         raise UserError(
             f"action_scale has {len(scale)} numbers, the action has {action_dim}"

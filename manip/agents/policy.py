@@ -101,9 +101,11 @@ def load_policy(where: str | Path) -> Policy:
     tree = load_tree(path)
     card = _card(path, tree)
     try:
-        actor = _actor(card)
-        actor.load_state_dict(tree["weights"])
-    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        with torch.device("meta"):  # a card may ask for more memory than there is
+            actor = _actor(card)
+        actor.load_state_dict(tree["weights"], assign=True)
+        actor.float()
+    except Exception as error:  # whatever a card of no policy may lead to
         raise UserError(f"{path} holds no policy: {one_line(error)}") from error
     if not all(tensor.isfinite().all() for tensor in actor.state_dict().values()):
         raise UserError(f"{path} holds weights that are not finite")

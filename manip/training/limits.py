@@ -3,9 +3,9 @@
 from dataclasses import fields
 from typing import Any
 
-from manip.errors import UserError
+from manip.errors import MOST, UserError
 
-COUNT = (1, 10**10)
+COUNT = (1, MOST)
 NUMBER = (0, 10**9)
 SHARE = (0, 1)
 
@@ -16,7 +16,7 @@ RANGES: dict[str, tuple[float, float]] = {
     **dict.fromkeys(("rollout_length", "epochs", "minibatches"), COUNT),
     **dict.fromkeys(("noise_steps", "workers"), COUNT),
     **dict.fromkeys(("actor_hidden", "critic_hidden"), COUNT),
-    **dict.fromkeys(("random_steps", "conjugate_steps", "backtracks"), (0, 10**10)),
+    **dict.fromkeys(("random_steps", "conjugate_steps", "backtracks"), (0, MOST)),
     **dict.fromkeys(("own_starts", "cool_down", "gamma", "gae_lambda", "tau"), SHARE),
     **dict.fromkeys(("actor_average", "gripper_bursts", "epsilon", "clones"), SHARE),
     **dict.fromkeys(("learning_rate", "updates_per_step", "max_gradient"), NUMBER),
