@@ -286,13 +286,9 @@ def test_the_number_of_threads_does_not_change_a_run(
 @pytest.mark.slow
 @by_algorithm
 def test_sixteen_worlds_give_the_same_run_twice(algo: str, tmp_path: Path) -> None:
-    first, second = (
-        Trainer(tiny(algo, tmp_path / name, num_worlds=16, steps=2048))
-        for name in ("first", "second")
-    )
-    assert first.run()
-    assert second.run()
-    assert_equal_runs(first.folder, second.folder)
+    for name in ("first", "second"):
+        assert Trainer(tiny(algo, tmp_path / name, num_worlds=16, steps=2048)).run()
+    assert_equal_runs(tmp_path / "first", tmp_path / "second")
 
 
 @pytest.mark.parametrize(("overlap", "ages"), [(True, [0, 1, 1, 1]), (False, [0] * 3)])
