@@ -591,7 +591,7 @@ def fall_ill(task: Any, world: int) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_ends_the_run_after_its_update(number, tmp_path: Path) -> None:
+def test_a_signal_ends_the_run_after_its_update(number, tmp_path, capfd) -> None:
     trainer = Trainer(tiny("ppo", tmp_path / "run"))
     update, before = trainer.agent.update, signal.getsignal(number)
 
@@ -601,6 +601,7 @@ def test_a_signal_ends_the_run_after_its_update(number, tmp_path: Path) -> None:
 
     trainer.agent.update = interrupted
     assert not trainer.run()
+    assert "once more leaves at once" in capfd.readouterr().err
     assert signal.getsignal(number) == before
     assert state_of(trainer.folder)["progress"]["env_steps"] == ROLLOUT["ppo"]
 

@@ -6,11 +6,13 @@ import platform
 import signal
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
 from manip.errors import UserError, one_line
+
+LEAVING = b"manip: saves as soon as it can, and leaves; once more leaves at once\n"
 
 
 @contextmanager
@@ -59,6 +61,8 @@ class Interruptible:
         self._restore()
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
+        with suppress(OSError):  # the terminal may be gone
+            os.write(2, LEAVING)  # as print must not be called in a handler
         self._restore()
         self._stop()
 
