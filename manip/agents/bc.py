@@ -104,6 +104,7 @@ class BC(Agent):
 
     off_policy = True
     imitates = True
+    actor: Actor
 
     def __init__(self, config: BCConfig, spaces: Spaces, threads: int = 1) -> None:
         self.config = config

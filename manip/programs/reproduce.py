@@ -26,6 +26,7 @@ from manip.programs import cli
 from manip.programs.evaluate import Evaluate, evaluate
 from manip.programs.results import table
 from manip.sim.stock import ROBOTS, check_choice
+from manip.training.build import imitates
 from manip.training.checkpoint import Checkpoints
 from manip.training.config import TrainConfig, recipes
 from manip.training.loop import Trainer
@@ -76,7 +77,7 @@ def main(arguments: Sequence[str]) -> int:
         runs = tuple(_runs(config, options, stored))
         if len(runs) < options.seeds:
             return STOPPED
-        found.append(_result(config, runs, stored))
+        found.append(Result(*_key(config), imitates(config), machine(), runs))
         _keep(found, options, stored)
     Console().print(table(stored, found))
     worse = [_name(result) for result in found if "worse" in _verdicts(result, stored)]
@@ -148,12 +149,6 @@ def _judged(trainer: Trainer, episodes: int) -> Run:
         env_steps=trainer.env_steps,
         minutes=round(trainer.seconds / 60, 1),
     )
-
-
-def _result(config: TrainConfig, runs: tuple[Run, ...], stored: Results) -> Result:
-    before = stored.of(_key(config))
-    demonstrations = before.demonstrations if before else False
-    return Result(*_key(config), demonstrations, machine(), runs)
 
 
 def _run_name(key: Key, seed: int) -> str:

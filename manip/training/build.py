@@ -54,7 +54,7 @@ def training_envs(config: TrainConfig) -> list[NativeEnv | OtherEnv]:
         UserError: a script is to be imitated in another action space than its own;
             workers cannot share the worlds evenly.
     """
-    if _imitates(config) and config.controller != "OSC_POSE":
+    if imitates(config) and config.controller != "OSC_POSE":
         raise UserError(
             f"scripts give OSC_POSE actions, not {config.controller}: choose another "
             f"algorithm than {config.algo}"
@@ -68,7 +68,8 @@ def training_envs(config: TrainConfig) -> list[NativeEnv | OtherEnv]:
     return [_training_env(config, worker, workers) for worker in range(workers)]
 
 
-def _imitates(config: TrainConfig) -> bool:
+def imitates(config: TrainConfig) -> bool:
+    """Whether a run learns from a task's script."""
     return bool(AGENTS[type(config.agent)].imitates)
 
 
@@ -78,7 +79,7 @@ def _training_env(
     env = _env(
         config,
         config.num_worlds // workers,
-        script=_imitates(config),
+        script=imitates(config),
         fidelity=config.fidelity,
         threads=max(1, share_threads(config)[0] // workers),
         horizon=config.horizon,
