@@ -50,8 +50,9 @@ def draw_bias(found: Sequence[Found], path: Path) -> None:
         _line(sides[1], rows, _n, lambda row: row.bias, label)
     for axes, title in zip(sides, ("noise", "squared bias"), strict=True):
         axes.set_xscale("log", base=2)
+        axes.set_xticks(NS, [str(n) for n in NS])
         axes.set(title=title, xlabel="n", ylabel="relative to |mean gradient|²")
-        axes.set_yscale("log")
+    sides[0].set_yscale("log")
     figure.suptitle(f"Estimates from n rewards and the critic, {found[0].task}")
     _save(figure, list(sides), path)
 
