@@ -16,7 +16,7 @@ from manip.cpus import usable_cpus
 from manip.files import replace_file
 from manip.sim.engine import BatchEngine
 from manip.sim.handles import Sensors
-from manip.sim.model import Scene, load_scene
+from manip.sim.model import load_scene
 
 WORLDS = (1, 4, 16, 64, 256, 1024)
 
@@ -36,11 +36,11 @@ def contest(settings: Settings) -> Contest:
         contestants[f"{threads} threads"] = _of(engine)
     for name in MODELS:
         model = load_scene(name, Sensors())
-        contestants[f"{model.physics.nv} dof"] = _of(_resting(model, settings, cpus))
+        resting = BatchEngine(model, settings.worlds, cpus)
+        contestants[f"{name}, {model.physics.nv} dof"] = _of(resting)
     largest = f"{settings.worlds} worlds"
     return Contest(
-        f"{task}, up to {settings.worlds} worlds on {cpus} threads; "
-        f"by dof: {', '.join(MODELS)}",
+        f"{task}, up to {settings.worlds} worlds on {cpus} threads, and other models",
         contestants,
         ratios={
             "most_worlds_vs_one": (largest, "1 worlds"),
@@ -53,33 +53,32 @@ def _of(engine: BatchEngine) -> Contestant:
     return speed(repeats(engine))
 
 
-def _resting(scene: Scene, settings: Settings, threads: int) -> BatchEngine:
-    return BatchEngine(scene, settings.worlds, threads)
-
-
 def plot(outcome: Outcome, path: Path) -> None:
-    """Draw medians and spreads: against worlds, threads and degrees of freedom."""
-    panels = ("worlds", "threads", "dof")
-    figure, row = plt.subplots(1, 3, figsize=(12, 4), sharey=True, layout="constrained")
-    for axes, kind in zip(row, panels, strict=True):
-        _draw(axes, kind, outcome.rounds)
-    row[0].set(xscale="log", ylabel="control steps a second", ylim=(0, None))
-    row[2].set(xlabel="degrees of freedom of the model")
+    """Draw medians and spreads: against worlds and threads, and of each model."""
+    panels = {"worlds": "o-", "threads": "o-", "dof": "o"}
+    figure, row = plt.subplots(
+        *(1, 3), figsize=(13, 4), sharey=True, width_ratios=(3, 1, 4), layout="tight"
+    )
+    for axes, (kind, style) in zip(row, panels.items(), strict=True):
+        _draw(axes, kind, style, outcome.rounds)
+    row[0].set(ylabel="control steps a second", ylim=(0, None))
+    row[2].set(xlabel="model and its degrees of freedom")
     figure.suptitle(outcome.contest.title)
     replace_file(path, lambda part: figure.savefig(part, dpi=120))
     plt.close(figure)
 
 
-def _draw(axes: Axes, kind: str, rounds: Mapping[str, list[float]]) -> None:
+def _draw(axes: Axes, kind: str, style: str, rounds: Mapping[str, list[float]]) -> None:
     found = {
-        int(name.split()[0]): values
+        name.removesuffix(f" {kind}").replace(", ", "\n"): values
         for name, values in rounds.items()
         if name.endswith(f" {kind}")
     }
-    sizes = sorted(found)
-    middle = np.array([np.median(found[size]) for size in sizes])
-    low = middle - [min(found[size]) for size in sizes]
-    high = np.array([max(found[size]) for size in sizes]) - middle
-    axes.errorbar(sizes, middle, (low, high), marker="o", capsize=3)
-    axes.set(xlabel=kind)
+    middle = np.array([np.median(values) for values in found.values()])
+    low = middle - [min(values) for values in found.values()]
+    high = np.array([max(values) for values in found.values()]) - middle
+    places = range(len(found))
+    axes.errorbar(places, middle, (low, high), fmt=style, capsize=3)
+    axes.set_xticks(places, list(found), fontsize="small")
+    axes.set(xlabel=kind, xlim=(-0.5, len(found) - 0.5))
     axes.grid(alpha=0.3)
