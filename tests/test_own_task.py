@@ -158,6 +158,10 @@ MISTAKES: dict[str, tuple[str, Method]] = {
         "observe",
         lambda task, m: {"zero": [[0.0]] * 3},
     ),
+    "observe() gives no numbers: nothing to act on": (
+        "observe",
+        lambda task, m: {},
+    ),
     "reward_terms(m, 'shaped') gives 'near', but weights['shaped'] names 'near', ": (
         "reward_terms",
         lambda task, m, reward: {"near": m["distance"]},
@@ -269,15 +273,7 @@ def played(task: Task, scene: Scene) -> list[Moment] | str:
         return str(error)
 
 
-@settings(
-    deadline=None,
-    max_examples=80,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
-)
-@given(part=st.sampled_from(PARTS), value=given_back)
-def test_whatever_a_task_gives_is_right_or_told_in_a_line(
-    part: str, value: Any, press: Task, scene: Scene
-) -> None:
+def assert_right_or_told(part: str, value: Any, press: Task, scene: Scene) -> None:
     data = part in ("horizon", "weights", "stages", "sensors")
     body = value if data else lambda task, *given: value
     moments = played(type("Odd", (type(press),), {part: body})(), scene)
@@ -290,6 +286,29 @@ def test_whatever_a_task_gives_is_right_or_told_in_a_line(
         assert moment.reward.shape == (3,)
         assert np.isfinite(moment.reward).all()
         assert moment.done.dtype == moment.success.dtype == bool
+
+
+patient = settings(
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
+
+
+@settings(patient, max_examples=80, derandomize=True)
+@given(part=st.sampled_from(PARTS), value=given_back)
+def test_whatever_a_task_gives_is_right_or_told_in_a_line(
+    part: str, value: Any, press: Task, scene: Scene
+) -> None:
+    assert_right_or_told(part, value, press, scene)
+
+
+@pytest.mark.slow
+@settings(patient, max_examples=2000)
+@given(part=st.sampled_from(PARTS), value=given_back)
+def test_thousands_of_odd_parts_are_right_or_told(
+    part: str, value: Any, press: Task, scene: Scene
+) -> None:
+    assert_right_or_told(part, value, press, scene)
 
 
 @pytest.mark.parametrize(

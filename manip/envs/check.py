@@ -53,8 +53,7 @@ def check_task(task: Task, read: Measures, worlds: int) -> None:
     """
     at_least(1, f"{_of(task)} horizon", task.horizon)
     m = _ask_named(task, "measure()", read, task.measure)
-    for name, part in _ask_named(task, "observe()", m, task.observe).items():
-        _check_part(f"{_of(task)} observe() part {name!r}", part, worlds)
+    _check_observation(task, _ask_named(task, "observe()", m, task.observe), worlds)
     for reward in task.weights:
         _check_rewards(task, reward, m, worlds)
     for where, method in (("success()", task.success), ("failure()", task.failure)):
@@ -112,6 +111,14 @@ def _ask_named(
         kind = type(given).__name__
         raise UserError(f"{_of(task)} {where} gives {kind}, not named arrays")
     return given
+
+
+def _check_observation(task: Task, parts: Mapping[str, Any], worlds: int) -> None:
+    where = f"{_of(task)} observe()"
+    for name, part in parts.items():
+        _check_part(f"{where} part {name!r}", part, worlds)
+    if not any(np.size(part) for part in parts.values()):
+        raise UserError(f"{where} gives no numbers: nothing to act on")
 
 
 def _check_rewards(task: Task, reward: str, m: Measures, worlds: int) -> None:
