@@ -26,6 +26,7 @@ from torchrl.objectives import BCLoss
 
 from manip.agents.agent import Agent, Spaces
 from manip.agents.networks import Actor, seeded
+from manip.agents.off_policy import descend
 
 # It has no targets, and does not say so.
 warnings.filterwarnings("ignore", "The name target_actor_network_params")
@@ -168,10 +169,8 @@ class BC(Agent):
         return self._buffer.sample(batches * size).split(size) if batches else ()
 
     def _learn(self, batch: TensorDictBase) -> float:
-        self._optim.zero_grad()
         loss = self._loss(batch)["loss_bc"]
-        loss.backward()
-        self._optim.step()
+        descend(self._optim, loss)
         return loss.item()
 
 
