@@ -82,8 +82,8 @@ class TrainConfig:
     """Control steps to train for, all worlds together."""
     num_worlds: int = 32
     """Worlds that are simulated side by side."""
-    horizon: int = 80
-    """Length of a training episode [control steps]."""
+    horizon: int | None = None
+    """Length of a training episode [control steps]; the task's own unless given."""
     control_freq: int = 20
     """Control frequency [Hz]."""
     fidelity: Fidelity = "fast"
