@@ -172,6 +172,15 @@ def test_bins_and_numbers_are_two_names_of_an_action() -> None:
     assert torch.equal(found.sum(-1), torch.full((20,), 2))
 
 
+@pytest.mark.parametrize("make", [td3, dqn])
+def test_bursts_hold_the_grippers(make) -> None:
+    policy = make(gripper_bursts=0.5).policy()
+    action = policy(TensorDict({"observation": torch.randn(400, 5)}, [400]))["action"]
+    held = action[:, -1].abs() == 0.9
+    assert held.float().mean() == pytest.approx(0.5, abs=0.1)
+    assert (action[:, :-1].abs() != 0.9).all()
+
+
 def test_dqn_explores_with_a_share_of_epsilon_and_warms_up_at_random() -> None:
     state = TensorDict({"observation": torch.randn(1, 5).expand(3000, 5)}, 3000)
     for random_steps, epsilon in ((1, 1.0), (0, 0.3)):

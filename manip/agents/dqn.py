@@ -73,7 +73,8 @@ class DQN(OffPolicy):
     def policy(self) -> TensorDictModuleBase:
         """Random bins at first, then the best ones but for a share of epsilon."""
         epsilon = 1.0 if self.warming_up else self.config.epsilon
-        return RolloutPolicy(self.actor, partial(_greedy, epsilon=epsilon))
+        explore = partial(_greedy, epsilon=epsilon)
+        return RolloutPolicy(self.actor, explore, bursts=self.config.gripper_bursts)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """See `OffPolicy`; the buffer holds actions in units of action_scale."""

@@ -44,6 +44,8 @@ class OffPolicyConfig:
     """Steps with uniform actions before learning starts."""
     action_scale: tuple[float, ...] = ()
     """Part of each OSC_POSE action's range that is used; all of it unless given."""
+    gripper_bursts: float = 0.0
+    """Share of a rollout's worlds whose gripper opens, or closes, all through it."""
 
 
 Explore = Callable[[Any, Tensor, Generator], Tensor]

@@ -51,8 +51,6 @@ class SACConfig(OffPolicyConfig):
     """Keep the temperature as it is at the start."""
     target_entropy: float = -3.5
     """Entropy [nat] that the temperature aims at, of actions in [-1, 1]."""
-    gripper_bursts: float = 0.0
-    """Share of a rollout's worlds whose gripper opens, or closes, all through it."""
 
 
 class SAC(OffPolicy):

@@ -80,7 +80,8 @@ class TD3(OffPolicy):
     def policy(self) -> TensorDictModuleBase:
         """Uniform at first, then the actor's actions and noise."""
         explore = partial(_noisy, noise=self.config.exploration_noise)
-        return RolloutPolicy(self.actor, explore, self.warming_up)
+        bursts = self.config.gripper_bursts
+        return RolloutPolicy(self.actor, explore, self.warming_up, bursts)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """See `OffPolicy`; the critics see actions in units of action_scale."""
