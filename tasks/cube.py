@@ -7,7 +7,7 @@ from manip.envs.task import Measures
 from manip.rewards.kernels import ramp
 from manip.sim.model import Scene
 from tasks.arm import observe_arm, start_qpos
-from tasks.objects import poses
+from tasks.objects import poses, rotation, turns, yaw
 
 Array = np.ndarray
 
@@ -20,6 +20,11 @@ AROUND = 0.02
 
 CENTRED = 0.012
 """Distance [m] below which it is fully so."""
+
+WIDTH = 0.043
+"""Most that a cube measures from face to face [m] (robosuite/.../lift.py)."""
+SLOW = 0.1
+"""Change of a gripper's command in a control step, below which it is slow, and weak."""
 
 CUBE = {"cube": "cube_main"}
 PADS = {
@@ -59,8 +64,28 @@ def measure_cube(read: Measures) -> dict[str, Array]:
     }
 
 
+def clumsy(m: Measures) -> bool:
+    """Whether the hand is too wide or too weak to turn a cube as it closes on it."""
+    wide, slow = m["gripper_narrowest"] > WIDTH, m["gripper_speed"] < SLOW
+    return bool(wide | slow)
+
+
+def turn_to_cube(m: Measures) -> Array:
+    """[N] rad about the vertical, from the hand to the cube's next pair of faces.
+
+    To its next pair of edges if the hand is wider than the cube.
+    """
+    edge = np.where(m["gripper_narrowest"] > WIDTH, np.pi / 4, 0.0)
+    error = yaw(rotation(m["cube_quat"])) + edge - yaw(m["eef_mat"])
+    return error - np.pi / 2 * np.round(error / (np.pi / 2))
+
+
 def observe_cube(m: Measures) -> dict[str, Array]:
-    """The arm, then the cube: place, turn, offset from the tool, velocity, touch."""
+    """The arm, then the cube: place, turn, offset from the tool, velocity, touch.
+
+    Clumsy hands see also how far they are turned from the cube, four times the angle.
+    """
+    turn = {"turn": turns(4 * turn_to_cube(m))} if clumsy(m) else {}
     return {
         **observe_arm(m, CENTRE),
         "cube_pos": 4.0 * (m["cube_pos"] - TABLE),
@@ -68,6 +93,7 @@ def observe_cube(m: Measures) -> dict[str, Array]:
         "to_cube": np.clip(10.0 * m["to_cube"], -5.0, 5.0),
         "cube_linvel": m["cube_linvel"],
         "touch": np.stack([m["left_touch"], m["right_touch"]], axis=1),
+        **turn,
     }
 
 

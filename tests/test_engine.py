@@ -260,7 +260,7 @@ def test_read_gives_what_its_docstring_says(lift: Task, lift_scene: Scene) -> No
         "joint_pos": (7,), "joint_vel": (7,), "start_pos": (7,), "rest_pos": (7,),
         "joint_low": (7,), "joint_high": (7,),
         "gripper_qpos": (2,), "gripper_qvel": (2,), "gripper_command": (2,),
-        "gripper_closing": (),
+        "gripper_closing": (), "gripper_speed": (), "gripper_narrowest": (),
         "eef_pos": (3,), "eef_mat": (9,), "hand_quat": (4,),
         "cube_pos": (3,), "cube_quat": (4,), "cube_linvel": (3,), "cube_angvel": (3,),
         "left_touch": (), "right_touch": (),

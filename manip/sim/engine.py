@@ -141,9 +141,11 @@ class BatchEngine:
         Always present: qpos, qvel, qacc; joint_pos, joint_vel [N, n]; gripper_qpos,
         gripper_qvel; eef_pos [N, 3] m and eef_mat [N, 9] of the grip site; hand_quat
         [N, 4] wxyz of the hand body; gripper_command, one number an actuator;
-        gripper_closing [N], 1 when told to close; start_pos [N, n], the arm at the
-        episode's start; rest_pos [1, n], its default pose; joint_low, joint_high
-        [1, n], its limits; what the task's `Sensors` name, fields and memory too.
+        gripper_closing [N], 1 when told to close; gripper_speed [1], how much that
+        changes in a step; gripper_narrowest [1] m between pads when shut; start_pos
+        [N, n], the arm at the episode's start; rest_pos [1, n], its default pose;
+        joint_low, joint_high [1, n], its limits; what the task's `Sensors` name, fields
+        and memory too.
         Views change with the next step: copy what must stay.
         """
         named = dict(self._named)

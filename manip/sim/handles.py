@@ -60,6 +60,10 @@ _PADS = {
 """Finger pads by their real names, where robosuite 1.5.2 names geoms that its model
 lacks (models/grippers/xarm7_gripper.py); its own grasp test never fires there."""
 
+_NARROWEST = {"Robotiq85Gripper": 0.052}
+"""Gap [m] between the pads of a shut gripper, where that is too wide for small things:
+the links of its fingers collide before (measured, 51 to 56 mm)."""
+
 
 class Arm(NamedTuple):
     """The arm's indices and gains, as the compiled control laws need them.
@@ -127,12 +131,14 @@ class Handles:
     """Indices and gains of a robosuite environment's robot, and a task's sensors.
 
     qpos [nq] is the pose before a reset's randomisation; finger_qpos and finger_dof
-    index it and qvel; joint_range [n, 2] is the arm's. `slots` are read from MjData,
-    `fields` set in MjModel, `memory` kept.
+    index it and qvel; joint_range [n, 2] is the arm's; narrowest [m] is the gap between
+    the pads of the shut gripper. `slots` are read from MjData, `fields` set in MjModel,
+    `memory` kept.
     """
 
     arm: Arm
     gripper: Gripper
+    narrowest: float
     qpos: Array
     joint_range: Array
     finger_qpos: Array
@@ -158,6 +164,7 @@ def find_handles(stock: Any, sensors: Sensors) -> Handles:
     return Handles(
         arm=_arm(stock),
         gripper=_gripper(stock),
+        narrowest=_NARROWEST.get(type(robot.gripper["right"]).__name__, 0.0),
         qpos=_default_qpos(stock),
         joint_range=model.jnt_range[robot._ref_arm_joint_indexes].copy(),
         finger_qpos=_finger_indices(robot, "pos"),
@@ -179,6 +186,8 @@ def with_joints(handles: Handles, named: dict[str, Array]) -> dict[str, Array]:
     named["gripper_qpos"] = named["qpos"][:, handles.finger_qpos]
     named["gripper_qvel"] = named["qvel"][:, handles.finger_dof]
     named["gripper_closing"] = _closing(handles.gripper, named["gripper_command"])
+    named["gripper_speed"] = np.abs(handles.gripper.speed).max(initial=0, keepdims=True)
+    named["gripper_narrowest"] = np.array([handles.narrowest])
     named["rest_pos"] = handles.qpos[handles.arm.qpos][None]
     named["joint_low"], named["joint_high"] = handles.joint_range.T[:, None]
     return named

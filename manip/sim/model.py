@@ -23,6 +23,10 @@ Fidelity = Literal["exact", "fast"]
 FAST_DT = 0.005
 """Timestep [s] of the fast fidelity: 10 instead of 25 substeps at 20 Hz."""
 
+_DELICATE = {"Robotiq85Gripper", "JacoThreeFingerGripper"}
+"""Grippers for which that is too long. The Robotiq's fingers press on one another, and
+with 5 ms they fly apart within a second; Jaco's lose what they hold."""
+
 ARENA_BYTES = 64 << 20
 """Memory of one MjData; robosuite reserves 1.3 GB of address space."""
 
@@ -55,12 +59,13 @@ def build_scene(
 ) -> Scene:
     """Compile the scene of a stock environment made by `make_stock`.
 
-    fidelity: "exact" is robosuite's own physics (2 ms); "fast" takes 5 ms steps and
-        leaves out the collisions of the arm's links, and of parked bodies with the
-        floor, for training and sweeps.
+    fidelity: "exact" is robosuite's own physics (2 ms); "fast" takes 5 ms steps where
+        the gripper bears them, and leaves out the collisions of the arm's links, and of
+        parked bodies with the floor, for training and sweeps.
     """
     handles = find_handles(stock, sensors)
-    dt = FAST_DT if fidelity == "fast" else PHYSICS_DT
+    hand = type(stock.robots[0].gripper["right"]).__name__
+    dt = FAST_DT if fidelity == "fast" and hand not in _DELICATE else PHYSICS_DT
     spec = _physics(stock, fidelity, dt)
     if fidelity == "fast":
         _let_fall(spec, sensors.parked)
