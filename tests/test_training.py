@@ -35,6 +35,7 @@ from manip.training.config import (
     from_dict,
     recipe,
     recipe_names,
+    recipes,
     to_dict,
 )
 from manip.training.leaving import Interruptible
@@ -662,6 +663,15 @@ def test_every_recipe_loads_for_the_task_and_algorithm_it_is_named_after() -> No
         assert isinstance(found.agent, ALGORITHMS[algo])
         assert load_task(found.task).name.lower() == task
         assert found.eval_every <= found.steps
+
+
+def test_a_recipe_may_say_more_of_some_arms() -> None:
+    panda, jaco = (recipe("Lift", "bc", robot) for robot in ("Panda", "Jaco"))
+    assert (panda.robot, jaco.robot) == ("Panda", "Jaco")
+    assert panda == recipe("Lift", "bc")
+    assert jaco.agent.noise < panda.agent.noise
+    assert recipes("Jaco")["lift-bc"] == jaco
+    assert train._defaults(["--algo", "bc", "--robot", "Jaco"]) == jaco
 
 
 @pytest.mark.parametrize("algo", sorted(ALGORITHMS))

@@ -102,7 +102,7 @@ def chosen(options: Reproduce, stored: Results) -> list[TrainConfig]:
         if asked not in names:
             raise unknown("recipe", asked, sorted(names))
     return [
-        replace(config, robot=robot)
+        recipes(robot)[name]
         for name, config in known.items()
         if {"all", name, config.task} & set(options.what)
         for robot in _robots(config, options, stored)

@@ -25,6 +25,7 @@ class _Start:
 
     task: str = "Lift"
     algo: str = "sac"
+    robot: str | None = None
     out: Path | None = None
     resume: bool = False
 
@@ -43,7 +44,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _defaults(arguments: Sequence[str]) -> TrainConfig:
-    """The recipe of the named task and algorithm, or the options of a run to resume."""
+    """The recipe of the task, algorithm and arm; or the options of a run to resume."""
     with contextlib.redirect_stderr(io.StringIO()):
         try:
             start, _ = tyro.cli(
@@ -56,7 +57,7 @@ def _defaults(arguments: Sequence[str]) -> TrainConfig:
     if start.algo not in ALGORITHMS:
         raise unknown("algorithm", start.algo, ALGORITHMS)
     load_task(start.task)
-    return recipe(start.task, start.algo)
+    return recipe(start.task, start.algo, start.robot)
 
 
 def _recorded(out: Path | None) -> TrainConfig:

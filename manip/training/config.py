@@ -2,6 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass, field
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
@@ -131,21 +132,22 @@ def recipe_names() -> list[str]:
     return sorted(name for name in names if "-" in name)
 
 
-def recipes() -> dict[str, TrainConfig]:
+def recipes(robot: str | None = None) -> dict[str, TrainConfig]:
     """Name -> options of the tuned recipes that are shipped for tasks known here."""
     tasks = {task.lower(): task for task in task_names()}
     pairs = {name: name.split("-", 1) for name in recipe_names()}
     return {
-        name: recipe(tasks[task], algo)
+        name: recipe(tasks[task], algo, robot)
         for name, (task, algo) in pairs.items()
         if task in tasks
     }
 
 
-def recipe(task: str, algo: str) -> TrainConfig:
+def recipe(task: str, algo: str, robot: str | None = None) -> TrainConfig:
     """The tuned options for a task and an algorithm, or the defaults where none are.
 
-    All tasks of another library share one recipe.
+    robot: the arm, if not the recipe's own; what the recipe says under `robots` of it
+        takes the place of other options. All tasks of another library share one recipe.
 
     Raises:
         UserError: unknown algorithm.
@@ -153,9 +155,16 @@ def recipe(task: str, algo: str) -> TrainConfig:
     if algo not in ALGORITHMS:
         raise unknown("algorithm", algo, ALGORITHMS)
     name = task.split("/")[0] if "/" in task else f"{task.lower()}-{algo}"
+    found = dict(_shipped(name))
+    arm = {"robot": robot} if robot else {}
+    own = found.pop("robots", {}).get(robot, {})
+    return from_dict({"task": task, "algo": algo} | found | own | arm)
+
+
+@cache
+def _shipped(name: str) -> dict[str, Any]:
     path = files("assets") / "recipes" / f"{name}.yaml"
-    found = yaml.safe_load(path.read_text()) if path.is_file() else {}
-    return from_dict({"task": task, "algo": algo} | found)
+    return yaml.safe_load(path.read_text()) if path.is_file() else {}
 
 
 def to_dict(config: TrainConfig) -> dict[str, Any]:
