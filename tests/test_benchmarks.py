@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from manip.benchmarks import contest, startup, worlds
+from manip.benchmarks import contest, returns, startup, worlds
 from manip.benchmarks.contest import Contest, Settings, hold
 from manip.envs.task import Task
 from manip.programs import cli
@@ -136,12 +136,40 @@ def test_a_start_that_fails_says_why() -> None:
         begun.contestants["engine, cold"]()
 
 
-def test_without_the_extra_the_neighbour_says_what_to_install(
-    monkeypatch, capsys
+@pytest.mark.parametrize(
+    ("what", "library"), [("neighbour", "envpool"), ("returns", "stable_baselines3")]
+)
+def test_without_the_extra_a_benchmark_says_what_to_install(
+    what: str, library: str, monkeypatch, capsys
 ) -> None:
-    monkeypatch.setitem(sys.modules, "envpool", None)
-    assert cli.run(main, ["neighbour"]) == 2
+    monkeypatch.setitem(sys.modules, library, None)
+    assert cli.run(main, [what]) == 2
     assert "make peers" in capsys.readouterr().err
+
+
+def test_differences_of_returns_have_welchs_interval() -> None:
+    """Variances 1 and 1/4 of 3 seeds: 2.94 degrees of freedom, t = 3.2185."""
+    rounds = {"manip": [1.0, 2.0, 3.0], "SB3": [0.5, 1.0, 1.5]}
+    both = {f"{a}, {w}": rounds[w] for a in ("PPO", "SAC") for w in rounds}
+    found = returns.differences(both)
+    assert found["SAC_difference"] == pytest.approx(1.0)
+    half = 3.2185 * (1.25 / 3) ** 0.5
+    assert found["SAC_difference_low"] == pytest.approx(1.0 - half, abs=1e-3)
+    assert found["SAC_difference_high"] == pytest.approx(1.0 + half, abs=1e-3)
+
+
+def test_a_torque_of_nothing_swings_as_gymnasium_has_it() -> None:
+    found = returns.mean_return(lambda observation: 0 * observation[:, :1])
+    assert -1400 < found < -1000
+
+
+@pytest.mark.slow
+def test_both_learners_of_returns_learn(monkeypatch) -> None:
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.setattr(returns, "EPISODES", 20)
+    found = hold(returns.contest(Settings()), rounds=1).rounds
+    assert found["SAC, manip"] > [-600]
+    assert min(*found["PPO, manip"], *found["PPO, SB3"]) > -800
 
 
 @pytest.mark.slow
