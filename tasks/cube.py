@@ -21,8 +21,8 @@ AROUND = 0.02
 CENTRED = 0.012
 """Distance [m] below which it is fully so."""
 
-WIDTH = 0.043
-"""Most that a cube measures from face to face [m] (robosuite/.../lift.py)."""
+WIDTH = 0.044
+"""Most that Lift's cube measures from face to face [m] (ibid.)."""
 SLOW = 0.1
 """Change of a gripper's command in a control step, below which it is slow, and weak."""
 

@@ -44,6 +44,11 @@ def test_the_script_lifts_the_cube_and_keeps_it(lift: Task, scene: Scene) -> Non
     assert np.array(held[-HELD_STEPS:]).all()
 
 
+def test_only_clumsy_hands_see_their_turn(robot: str, lift: Task, scene: Scene) -> None:
+    seen = lift.observe(lift.measure(BatchEngine(scene, 2).read()))
+    assert ("turn" in seen) == (robot in EVERY_DAY)
+
+
 def test_a_hand_shuts_to_the_width_that_is_read(lift: Task, scene: Scene) -> None:
     read = BatchEngine(scene, 1).read()
     (width,) = read["gripper_narrowest"]
