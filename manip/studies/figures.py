@@ -58,8 +58,10 @@ def draw_bias(found: Sequence[Found], path: Path) -> None:
 
 
 def draw_clipping(found: Sequence[Evaluated], path: Path) -> None:
-    """Success, and how far updates go, against control steps."""
+    """Success, and how far updates go, against control steps; epochs by colour."""
     figure, sides = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
+    for axes in sides:
+        axes.set_prop_cycle(color=["tab:blue", "tab:orange", "tab:green"])
     for variant in dict.fromkeys(row.variant for row in found):
         rows = [row for row in found if row.variant == variant]
         style = "--" if "no clip" in variant else "-"

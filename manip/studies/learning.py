@@ -37,7 +37,7 @@ def clipping_variants(task: str, steps: int | None) -> dict[str, TrainConfig]:
     assert isinstance(agent, PPOConfig)
     base = replace(base, steps=steps or base.steps, cool_down=0.0)
     return {
-        f"{epochs} epochs, " + (f"clip {clip}" if clip else "no clip"): replace(
+        _name(epochs, clip): replace(
             base,
             eval_every=max(1, base.steps // 5),
             agent=replace(agent, epochs=epochs, clip=clip, target_kl=None),
@@ -45,6 +45,11 @@ def clipping_variants(task: str, steps: int | None) -> dict[str, TrainConfig]:
         for clip in CLIPS
         for epochs in EPOCHS
     }
+
+
+def _name(epochs: int, clip: float | None) -> str:
+    many = "epoch" if epochs == 1 else "epochs"
+    return f"{epochs} {many}, " + (f"clip {clip}" if clip else "no clip")
 
 
 def algorithm_variants(
