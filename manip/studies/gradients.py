@@ -31,6 +31,11 @@ from manip.training.rollout import Rollout
 NS = (1, 2, 4, 8, 16, 32)
 """Numbers of steps that are compared."""
 
+WORLDS = 32
+"""Worlds of a rollout: noise is in inverse proportion to their number."""
+LEARNING_RATE = 2e-3
+"""Of the A2C that is looked at; the rest is as its recipe has it."""
+
 BASELINE = "R - V"
 """The weight that the others are held against."""
 
@@ -64,7 +69,8 @@ def measure(
     """
     tuned = recipe(task, "a2c")
     assert isinstance(tuned.agent, A2CConfig)
-    config = replace(tuned, seed=seed, agent=replace(tuned.agent, gamma=gamma))
+    options = replace(tuned.agent, gamma=gamma, learning_rate=LEARNING_RATE)
+    config = replace(tuned, seed=seed, num_worlds=WORLDS, agent=options)
     (env,) = training_envs(config)
     agent = build_agent(config, env)
     assert isinstance(agent, A2C)
