@@ -19,14 +19,21 @@ class Benchmark:
     """Measure speed, and returns, everything interleaved in one run.
 
     engine: the batch engine against MuJoCo's bare physics and stock robosuite.
+
     env: TorchRL and Gymnasium environments and collect loop with a policy, as a share
-        of the engine.
+    of the engine.
+
     startup: seconds to the first control step, with cold and warm compile cache.
+
     scaling: speed against worlds, threads and size of the model (--plot FILE).
+
     learner: SAC updates and PPO epochs against other libraries (see `make peers`).
+
     returns: PPO and SAC on Pendulum-v1 beside Stable-Baselines3's, a seed a round (see
-        `make peers`).
+    `make peers`).
+
     neighbour: EnvPool's PandaPickCube beside us (see `make peers`).
+
     task: wall time until a task is learned; see `manip benchmark task --help`.
     """
 

@@ -34,8 +34,10 @@ class Study:
     """Run a study with several seeds; leaves a table (.csv) and a picture (.png).
 
     gradients: their noise (REINFORCE, with a baseline, actor-critic), and noise and
-        bias against n of n-step returns: variance.png and bias.png.
+    bias against n of n-step returns: variance.png and bias.png.
+
     clipping: PPO's epochs with and without clipping.
+
     algorithms: all of them, success against control steps and computing time.
     """
 
