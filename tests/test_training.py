@@ -591,19 +591,26 @@ def fall_ill(task: Any, world: int) -> None:
     task.reward_terms = ill
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_ends_the_run_after_its_update(number, tmp_path, capfd) -> None:
+@pytest.fixture(params=[signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def heard(request) -> Iterator[signal.Signals]:
+    """A signal that is not ignored, as two of them are in the background of a shell."""
+    before = signal.signal(request.param, signal.SIG_DFL)
+    yield request.param
+    signal.signal(request.param, before)
+
+
+def test_a_signal_ends_the_run_after_its_update(heard, tmp_path, capfd) -> None:
     trainer = Trainer(tiny("ppo", tmp_path / "run"))
-    update, before = trainer.agent.update, signal.getsignal(number)
+    update = trainer.agent.update
 
     def interrupted(batch: Any) -> dict[str, float]:
-        signal.raise_signal(number)
+        signal.raise_signal(heard)
         return update(batch)
 
     trainer.agent.update = interrupted
     assert not trainer.run()
     assert "once more leaves at once" in capfd.readouterr().err
-    assert signal.getsignal(number) == before
+    assert signal.getsignal(heard) == signal.SIG_DFL
     assert state_of(trainer.folder)["progress"]["env_steps"] == ROLLOUT["ppo"]
 
 
