@@ -164,7 +164,7 @@ def find_handles(stock: Any, sensors: Sensors) -> Handles:
     return Handles(
         arm=_arm(stock),
         gripper=_gripper(stock),
-        narrowest=_NARROWEST.get(type(robot.gripper["right"]).__name__, 0.0),
+        narrowest=_NARROWEST.get(hand_kind(stock), 0.0),
         qpos=_default_qpos(stock),
         joint_range=model.jnt_range[robot._ref_arm_joint_indexes].copy(),
         finger_qpos=_finger_indices(robot, "pos"),
@@ -177,6 +177,11 @@ def find_handles(stock: Any, sensors: Sensors) -> Handles:
         ),
         memory=sensors.memory,
     )
+
+
+def hand_kind(stock: Any) -> str:
+    """robosuite's name of the robot's gripper, such as PandaGripper."""
+    return type(stock.robots[0].gripper["right"]).__name__
 
 
 def with_joints(handles: Handles, named: dict[str, Array]) -> dict[str, Array]:
@@ -230,7 +235,7 @@ def _touches(
 def _side(stock: Any, name: str) -> Side:
     robot = stock.robots[0]
     hand = robot.gripper["right"]
-    groups = hand.important_geoms | _PADS.get(type(hand).__name__, {})
+    groups = hand.important_geoms | _PADS.get(hand_kind(stock), {})
     groups["arm"] = robot.robot_model.contact_geoms
     if name in groups:
         return Side(tuple(groups[name]), None)

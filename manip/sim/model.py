@@ -14,6 +14,7 @@ from manip.sim.handles import (
     Touch,
     find_handles,
     force_slots,
+    hand_kind,
 )
 from manip.sim.stock import PHYSICS_DT, make_stock
 
@@ -64,8 +65,8 @@ def build_scene(
         parked bodies with the floor, for training and sweeps.
     """
     handles = find_handles(stock, sensors)
-    hand = type(stock.robots[0].gripper["right"]).__name__
-    dt = FAST_DT if fidelity == "fast" and hand not in _DELICATE else PHYSICS_DT
+    quick = fidelity == "fast" and hand_kind(stock) not in _DELICATE
+    dt = FAST_DT if quick else PHYSICS_DT
     spec = _physics(stock, fidelity, dt)
     if fidelity == "fast":
         _let_fall(spec, sensors.parked)
