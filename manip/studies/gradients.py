@@ -1,10 +1,13 @@
 """How noisy and how biased estimates of the policy gradient are.
 
-A policy on its way is held still, and many rollouts are collected with it. Each of them
-gives one gradient g = mean of grad log pi(a | s) w for every choice of the weight w:
+A policy on its way is held still, and many rollouts of whole episodes are collected
+with it. The first steps of each give one gradient g = mean of grad log pi(a | s) w for
+every choice of the weight w:
 
     the return R, the return less the baseline R - V, or what n steps say,
     r_t + ... + gamma^(n-1) r_{t+n-1} + gamma^n V(s_{t+n}) - V(s_t)
+
+R sums rewards up to the time limit; gamma^k V(s_{t+k}) stands for what it cuts off.
 
     noise: trace of g's covariance / |mean of R - V's g|^2, of one rollout
     bias:  |mean of g - mean of R - V's g|^2 / |mean of R - V's g|^2
@@ -20,12 +23,14 @@ from dataclasses import dataclass, replace
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
+from torchrl.envs import EnvBase
 from torchrl.objectives.value import GAE
 
 from manip.agents.a2c import A2C, A2CConfig
 from manip.agents.returns import add_values, n_step_advantages
+from manip.errors import UserError
 from manip.training.build import build_agent, training_envs
-from manip.training.config import recipe
+from manip.training.config import TrainConfig, recipe
 from manip.training.rollout import Rollout
 
 NS = (1, 2, 4, 8, 16, 32)
@@ -64,14 +69,15 @@ def measure(
 
     Args:
         gamma: discount of A2C, and of the gradients.
-        rollouts: collected with the policy of each stage, of `length` control steps of
-            every world.
+        rollouts: collected with the policy of each stage, an episode of every world.
+        length: control steps at the beginning of episodes that gradients are taken of.
+
+    Raises:
+        UserError: episodes are too short to look as many steps ahead as n says.
     """
-    tuned = recipe(task, "a2c")
-    assert isinstance(tuned.agent, A2CConfig)
-    options = replace(tuned.agent, gamma=gamma, learning_rate=LEARNING_RATE)
-    config = replace(tuned, seed=seed, num_worlds=WORLDS, agent=options)
+    config = _config(task, seed, gamma)
     (env,) = training_envs(config)
+    _check_length(length, env.worlds.horizon)
     agent = build_agent(config, env)
     assert isinstance(agent, A2C)
     rollout, steps = Rollout(env), 0
@@ -80,7 +86,8 @@ def measure(
             found = rollout.collect(agent.policy(), agent.rollout_length)
             steps += found.steps
             agent.update(found.batch)
-        gradients = _sample(agent, rollout, rollouts, length)
+        gradients = _sample(agent, env, rollouts, env.worlds.horizon, length)
+        rollout = Rollout(env)
         reference = gradients[BASELINE]
         yield [
             Found(task, seed, steps, weight, *_compare(sample, reference))
@@ -88,16 +95,34 @@ def measure(
         ]
 
 
-def _sample(agent: A2C, rollout: Rollout, count: int, length: int) -> dict[str, Tensor]:
-    """Weight -> [count, P] gradients by the actor's parameters."""
+def _config(task: str, seed: int, gamma: float) -> TrainConfig:
+    tuned = recipe(task, "a2c")
+    assert isinstance(tuned.agent, A2CConfig)
+    options = replace(tuned.agent, gamma=gamma, learning_rate=LEARNING_RATE)
+    return replace(tuned, seed=seed, num_worlds=WORLDS, agent=options)
+
+
+def _check_length(length: int, horizon: int) -> None:
+    most = horizon - max(NS)
+    if length > most:
+        raise UserError(
+            f"--length must be at most {most}, not {length}: {max(NS)} more control "
+            f"steps are looked at, and an episode has {horizon}"
+        )
+
+
+def _sample(
+    agent: A2C, env: EnvBase, count: int, horizon: int, length: int
+) -> dict[str, Tensor]:
+    """Weight -> [count, P] gradients by the actor's parameters, of new episodes."""
     found: dict[str, list[Tensor]] = {}
+    params = [*agent.actor.body.parameters(), agent.actor.log_std]
     for _ in range(count):
-        batch = rollout.collect(agent.policy(), length).batch
+        batch = Rollout(env).collect(agent.policy(), horizon).batch
         weights = _weights(agent, add_values(batch, agent.critic))
-        log_prob = _log_prob(agent, batch)
-        params = [*agent.actor.body.parameters(), agent.actor.log_std]
+        log_prob = _log_prob(agent, batch[:, :length])
         for name, weight in weights.items():
-            gain = (log_prob * weight.squeeze(-1)).mean()
+            gain = (log_prob * weight[:, :length].squeeze(-1)).mean()
             parts = torch.autograd.grad(gain, params, retain_graph=True)
             row = torch.cat([part.flatten() for part in parts])
             found.setdefault(name, []).append(row)
