@@ -12,7 +12,7 @@ import tyro
 from rich.console import Console
 
 from manip.envs.registry import load_task
-from manip.errors import at_least
+from manip.errors import UserError, at_least
 from manip.files import write_text
 from manip.programs import cli
 from manip.studies import figures
@@ -60,18 +60,16 @@ class Study:
     rollouts: int = 60
     """Rollouts that gradients are estimated from, one each."""
     length: int = 40
-    """Control steps of such a rollout, of every world."""
+    """Control steps at the beginning of their episodes that gradients are taken of."""
     out: Path = Path("runs/study")
-    """Folder of tables, pictures and runs; what is there is not run again."""
+    """Folder of tables, pictures and runs; runs that are there are not run again."""
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run the study and say where its results lie."""
     options = cli.parse(Study, arguments, "manip study")
-    for name in ("seeds", "rollouts", "length"):
-        at_least(1, f"--{name}", getattr(options, name))
-    for task in options.tasks:
-        load_task(task)
+    _check(options)
+    options.out.mkdir(parents=True, exist_ok=True)
     measured, pictures = STUDIES[options.what]
     found = measured(options)
     table = options.out / f"{options.what}.csv"
@@ -82,6 +80,19 @@ def main(arguments: Sequence[str]) -> int:
         draw(found, picture)
         Console().print(str(picture), highlight=False)
     return 0
+
+
+def _check(options: Study) -> None:
+    for name in ("seeds", "length"):
+        at_least(1, f"--{name}", getattr(options, name))
+    at_least(2, "--rollouts", options.rollouts)
+    if options.steps is not None:
+        at_least(1, "--steps", options.steps)
+    for name in ("tasks", "algos", "stages"):
+        if not getattr(options, name):
+            raise UserError(f"--{name} must name at least one")
+    for task in options.tasks:
+        load_task(task)
 
 
 def _gradients(options: Study) -> list[Found]:

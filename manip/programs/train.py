@@ -4,18 +4,17 @@ import contextlib
 import io
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import tyro
-import yaml
 
 from manip.envs.others import OtherTask
 from manip.envs.registry import check_origin, load_task
-from manip.errors import UserError, one_line, unknown
+from manip.errors import UserError, unknown
 from manip.programs import cli
 from manip.sim.stock import ROBOTS, check_choice
-from manip.training.config import ALGORITHMS, TrainConfig, from_dict, recipe
+from manip.training.config import ALGORITHMS, TrainConfig, recipe, recorded
 from manip.training.loop import Trainer
 
 
@@ -64,13 +63,6 @@ def _recorded(out: Path | None) -> TrainConfig:
     path = (out or Path()) / "config.yaml"
     if out is None or not path.is_file():
         raise UserError(f"--resume needs --out with a run folder; there is no {path}")
-    try:
-        values = yaml.safe_load(path.read_text())
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise UserError(f"{path} is damaged: {one_line(error)}") from error
-    if not isinstance(values, dict):
-        raise UserError(f"{path} is damaged: it holds no options")
-    values.pop("versions", None)
-    config = from_dict(values | {"out": str(out), "resume": True})
+    config = replace(recorded(out), out=out, resume=True)
     check_origin(config.task, out)
     return config

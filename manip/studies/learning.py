@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from manip.agents.ppo import PPOConfig
-from manip.training.config import TrainConfig, recipe
+from manip.errors import UserError
+from manip.training.config import TrainConfig, recipe, recorded
 from manip.training.logs import read_metrics
 from manip.training.loop import Trainer
 
@@ -35,11 +36,10 @@ def clipping_variants(task: str, steps: int | None) -> dict[str, TrainConfig]:
     base = recipe(task, "ppo")
     agent = base.agent
     assert isinstance(agent, PPOConfig)
-    base = replace(base, steps=steps or base.steps, cool_down=0.0)
+    base = _in_fifths(replace(base, cool_down=0.0), steps)
     return {
         _name(epochs, clip): replace(
             base,
-            eval_every=max(1, base.steps // 5),
             agent=replace(agent, epochs=epochs, clip=clip, target_kl=None),
         )
         for clip in CLIPS
@@ -56,15 +56,13 @@ def algorithm_variants(
     task: str, algos: Sequence[str], steps: int | None
 ) -> dict[str, TrainConfig]:
     """Algorithms, each as its recipe for the task has it."""
-    found = {algo: recipe(task, algo) for algo in algos}
-    return {
-        algo: replace(config, steps=steps or config.steps, eval_every=_often(config))
-        for algo, config in found.items()
-    }
+    return {algo: _in_fifths(recipe(task, algo), steps) for algo in algos}
 
 
-def _often(config: TrainConfig) -> int:
-    return max(1, config.steps // 5)
+def _in_fifths(config: TrainConfig, steps: int | None) -> TrainConfig:
+    """So many steps, or the recipe's own, with five evaluations."""
+    steps = steps or config.steps
+    return replace(config, steps=steps, eval_every=max(1, steps // 5))
 
 
 def evaluations(
@@ -77,27 +75,50 @@ def evaluations(
     for variant, config in variants.items():
         for seed in seeds:
             out = folder / f"{config.task}-{variant}-{seed}".replace(" ", "-")
-            _run(replace(config, seed=seed, out=out))
-            for row in read_metrics(out / "metrics.csv"):
-                yield _evaluated(config.task, variant, seed, row)
+            run = replace(config, seed=seed, out=out)
+            _finish(run, variant)
+            yield from _read(run, variant)
 
 
-def _run(config: TrainConfig) -> None:
-    rows = read_metrics(config.folder / "metrics.csv")
-    if rows and int(rows[-1]["env_steps"]) >= config.steps:
+def _finish(run: TrainConfig, variant: str) -> None:
+    """Run what is left of a run."""
+    _check_same(run)
+    found = _read(run, variant)
+    if found and found[-1].env_steps >= run.steps:
         return
-    latest = config.folder / "checkpoints" / "latest.safetensors"
-    if not Trainer(replace(config, resume=latest.is_file())).run():
+    latest = run.folder / "checkpoints" / "latest.safetensors"
+    if not Trainer(replace(run, resume=latest.is_file())).run():
         raise KeyboardInterrupt
 
 
-def _evaluated(task: str, variant: str, seed: int, row: Mapping[str, str]) -> Evaluated:
-    return Evaluated(
-        task,
-        variant,
-        seed,
-        int(row["env_steps"]),
-        float(row["cpu_seconds"]),
-        float(row["eval/held"]),
-        float(row.get("learn/kl") or math.nan),
-    )
+def _check_same(run: TrainConfig) -> None:
+    """A run that is there already must be the one that is asked for."""
+    if not (run.folder / "config.yaml").is_file():
+        return
+    there = recorded(run.folder)
+    if replace(there, out=run.out, resume=run.resume, threads=run.threads) != run:
+        raise UserError(
+            f"{run.folder} holds a run with other options: remove it, or choose "
+            "another folder with --out"
+        )
+
+
+def _read(run: TrainConfig, variant: str) -> list[Evaluated]:
+    path = run.folder / "metrics.csv"
+    try:
+        return [
+            Evaluated(
+                run.task,
+                variant,
+                run.seed,
+                int(row["env_steps"]),
+                float(row["cpu_seconds"]),
+                float(row["eval/held"]),
+                float(row.get("learn/kl") or math.nan),
+            )
+            for row in read_metrics(path)
+        ]
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(
+            f"{path} is damaged: remove {run.folder} to run it again"
+        ) from error

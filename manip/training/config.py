@@ -20,7 +20,7 @@ from manip.agents.sac import SACConfig
 from manip.agents.td3 import TD3Config
 from manip.agents.trpo import TRPOConfig
 from manip.envs.registry import task_names
-from manip.errors import UserError, unknown
+from manip.errors import UserError, one_line, unknown
 from manip.plain import build
 from manip.sim.model import Fidelity
 from manip.training.limits import check_options
@@ -215,3 +215,21 @@ def from_dict(values: dict[str, Any]) -> TrainConfig:
     agent = build(ALGORITHMS[algo], values.get("agent") or {})
     rest = values | {"agent": agent, "out": Path(out) if isinstance(out, str) else out}
     return build(TrainConfig, rest)
+
+
+def recorded(folder: Path) -> TrainConfig:
+    """The configuration that a run has left in its folder.
+
+    Raises:
+        UserError: it is damaged.
+        OSError: there is none.
+    """
+    path = folder / "config.yaml"
+    try:
+        values = yaml.safe_load(path.read_text())
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise UserError(f"{path} is damaged: {one_line(error)}") from error
+    if not isinstance(values, dict):
+        raise UserError(f"{path} is damaged: it holds no options")
+    values.pop("versions", None)
+    return from_dict(values)
