@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -12,6 +13,8 @@ from manip.agents.policy import Policy, PolicyCard
 from manip.agents.ppo_kl import PPOKL, PPOKLConfig
 from manip.agents.returns import add_values
 from manip.errors import UserError
+from manip.training.build import build_agent, evaluation_env, policy_of
+from manip.training.config import from_dict
 
 
 def agent_of(config: PPOKLConfig = QUICK_PPO_KL, seed: int = 0) -> PPOKL:
@@ -94,6 +97,39 @@ def test_a_reference_of_other_networks_is_refused(tmp_path) -> None:
     reference = saved(agent_of(), tmp_path)
     with pytest.raises(UserError, match="has other networks than this run"):
         agent_of(replace(QUICK_PPO_KL, reference=reference, actor_hidden=(16,)))
+
+
+def test_a_run_that_goes_on_keeps_its_reference(tmp_path) -> None:
+    config = replace(QUICK_PPO_KL, reference=saved(agent_of(seed=1), tmp_path))
+    agent = agent_of(config)
+    before = {name: m.state_dict() for name, m in agent.modules().items()}
+    saved(agent_of(seed=2), tmp_path)
+    again = agent_of(config)
+    kept, now = (next(a._reference.body.parameters()) for a in (agent, again))
+    assert not torch.equal(now, kept)
+    for name, module in again.modules().items():
+        module.load_state_dict(before[name])
+    assert torch.equal(now, kept)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"layout": {"x": [0, 26]}}, "another observation than Reach shows"),
+        ({"robot": "Sawyer"}, "was trained with robot Sawyer, not Panda"),
+        ({"control_freq": 10}, "was trained with control_freq 10, not 20"),
+    ],
+)
+def test_a_reference_of_another_arm_or_task_is_refused(
+    changes: dict[str, Any], told: str, tmp_path: Path
+) -> None:
+    config = from_dict({"task": "Reach", "algo": "ppo-kl", "num_worlds": 1})
+    judge = evaluation_env(replace(config, eval_episodes=1))
+    policy = policy_of(build_agent(config, judge), config, judge, 0)
+    replace(policy, card=replace(policy.card, **changes)).save(tmp_path)
+    agent = replace(config.agent, reference=str(tmp_path))
+    with pytest.raises(UserError, match=told):
+        build_agent(replace(config, agent=agent), judge)
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDictBase
+from torch import nn
 from torchrl.modules import IndependentNormal
 from torchrl.objectives import KLPENPPOLoss
 from torchrl.objectives.value import GAE
@@ -39,7 +40,7 @@ class PPOKLConfig(OnPolicyConfig):
     target_kl: float | None = 0.02
     """d, mean KL divergence of an update that beta aims at; beta is fixed if None."""
     reference: str | None = None
-    """Run folder of the policy to start from and to stay near."""
+    """Run folder of the policy to start from and to stay near (action_scale, too)."""
     reference_beta: float = 0.05
     """beta_ref, weight of the distance to the reference in the rewards."""
     epochs: int = 5
@@ -60,6 +61,11 @@ class PPOKL(OnPolicy):
         self._reference = None
         if config.reference is not None:
             self._reference = _reference(config.reference, self.actor)
+
+    def modules(self) -> dict[str, nn.Module]:
+        """The reference, too: a run that goes on keeps it, whatever is there now."""
+        kept = {"reference": self._reference} if self._reference else {}
+        return super().modules() | kept
 
     def _make_loss(self) -> KLPENPPOLoss:
         return KLPENPPOLoss(

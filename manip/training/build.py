@@ -11,7 +11,7 @@ from manip.agents.agent import Agent, Spaces
 from manip.agents.bc import BC, BCConfig
 from manip.agents.dqn import DQN, DQNConfig
 from manip.agents.networks import RunningNorm, widths_of
-from manip.agents.policy import Policy, PolicyCard
+from manip.agents.policy import Policy, PolicyCard, load_policy
 from manip.agents.ppo import PPO, PPOConfig
 from manip.agents.ppo_kl import PPOKL, PPOKLConfig
 from manip.agents.reinforce import Reinforce, ReinforceConfig
@@ -119,8 +119,23 @@ def build_agent(config: TrainConfig, env: TaskEnv) -> Agent:
     options = config.agent
     if config.controller != "OSC_POSE" and not isinstance(options, BCConfig):
         options = replace(options, action_scale=())
+    if isinstance(options, PPOKLConfig) and options.reference is not None:
+        _check_reference(options.reference, config, env)
     agent: Agent = AGENTS[type(options)](options, spaces, share_threads(config)[1])
     return agent
+
+
+def _check_reference(folder: str, config: TrainConfig, env: TaskEnv) -> None:
+    """A reference acts where the run does: it sees and moves the same."""
+    card = load_policy(folder).card
+    env.worlds.check_layout(card.layout)
+    for name in ("robot", "controller", "control_freq"):
+        theirs, mine = getattr(card, name), getattr(config, name)
+        if theirs != mine:
+            raise UserError(
+                f"the policy in {folder} was trained with {name} {theirs}, not {mine}: "
+                "it is no reference for this run"
+            )
 
 
 def overlaps(config: TrainConfig) -> bool:
