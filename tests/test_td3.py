@@ -181,6 +181,14 @@ def test_bursts_hold_the_grippers(make) -> None:
     assert (action[:, :-1].abs() != 0.9).all()
 
 
+@pytest.mark.parametrize("make", [td3, dqn])
+def test_bursts_keep_to_the_scale_of_actions(make) -> None:
+    scale = (1.0, 1.0, 0.5)
+    policy = make(gripper_bursts=1.0, action_scale=scale)
+    action = policy.policy()(TensorDict({"observation": torch.randn(9, 5)}, [9]))
+    torch.testing.assert_close(action["action"][:, -1].abs(), torch.full((9,), 0.45))
+
+
 def test_dqn_explores_with_a_share_of_epsilon_and_warms_up_at_random() -> None:
     state = TensorDict({"observation": torch.randn(1, 5).expand(3000, 5)}, 3000)
     for random_steps, epsilon in ((1, 1.0), (0, 0.3)):

@@ -81,11 +81,11 @@ class RolloutPolicy(TensorDictModuleBase):
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write `action` [N, A]."""
-        action = self._actor.action_scale * self._draw(tensordict["observation"])
+        unit = self._draw(tensordict["observation"])
         if self._forced is None:
-            self._forced = self._draw_bursts(len(action))
-        action[:, -1] = self._forced.where(self._forced != 0, action[:, -1])
-        return tensordict.set("action", action)
+            self._forced = self._draw_bursts(len(unit))
+        unit[:, -1] = self._forced.where(self._forced != 0, unit[:, -1])
+        return tensordict.set("action", self._actor.action_scale * unit)
 
     def _draw(self, observation: Tensor) -> Tensor:
         if self._warm_up:
