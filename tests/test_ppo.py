@@ -158,6 +158,18 @@ def test_native_gradients_are_those_of_torchrls_loss(
     torch.testing.assert_close(*gradients, rtol=1e-4, atol=1e-6)
 
 
+def test_a_minibatch_of_one_has_gradients_too(monkeypatch) -> None:
+    """TorchRL leaves the advantage of one sample as it is, without a deviation."""
+    both = native_and_defined(monkeypatch, QUICK_PPO, Spaces(5, 3))
+    row = torch.randn(1, 5 + 3 + 3)
+    row[:, 8] = Normal(*both[0].actor(row[:, :5])).log_prob(row[:, 5:8]).sum().detach()
+    for agent in both:
+        agent._gradients(row)
+    gradients = [agent._params.grad for agent in both]
+    assert gradients[1].abs().max() > 0
+    torch.testing.assert_close(*gradients, rtol=1e-4, atol=1e-6)
+
+
 def test_rollout_log_probabilities_are_the_losss_also_after_updates() -> None:
     agent = make_agent(QUICK_PPO, seed=0)
     for _ in range(3):

@@ -148,10 +148,11 @@ class NativeGradients:
 
     def _normalised(self, rows: Tensor) -> Tensor:
         advantage = rows[:, -2]
-        deviation = advantage.std().clamp_min(MIN_DEVIATION)
         rows = rows.clone()
         rows[:, : self._states] = self._actor.norm(rows[:, : self._states])
-        rows[:, -2] = (advantage - advantage.mean()) / deviation
+        if len(rows) > 1:
+            deviation = advantage.std().clamp_min(MIN_DEVIATION)
+            rows[:, -2] = (advantage - advantage.mean()) / deviation
         return rows
 
     def _entropy(self) -> float:
