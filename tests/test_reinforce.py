@@ -23,6 +23,7 @@ from toy import (
 
 from manip.agents.on_policy import OnPolicy
 from manip.agents.returns import add_values, n_step_advantages
+from manip.errors import UserError
 from manip.training.config import AgentConfig
 
 IDENTITY = ValueOperator(nn.Identity(), in_keys=["observation"])
@@ -96,6 +97,11 @@ def test_a2c_follows_advantages_and_entropy(n_step: int | None) -> None:
     log_prob, error, entropy = terms(agent, batch)
     gain = log_prob * batch["advantage"] + 0.002 * entropy
     assert_gradient(agent, (0.5 * error - gain).mean())
+
+
+def test_no_more_rewards_are_summed_up_than_a_rollout_has() -> None:
+    with pytest.raises(UserError, match="n_step is 9, but a rollout has 8 steps"):
+        make_agent(replace(QUICK_A2C, n_step=9), seed=0)
 
 
 @pytest.mark.parametrize("config", [QUICK_A2C, QUICK_PPO, QUICK_PPO_KL])

@@ -710,6 +710,8 @@ def test_a_run_folder_is_named_after_what_is_trained() -> None:
         ({"seed": -1}, "seed must be at least 0, not -1"),
         ({"own_starts": 1.5}, "own_starts must be from 0 to 1, not 1.5"),
         ({"cool_down": -1}, "cool_down must be from 0 to 1, not -1"),
+        ({"algo": "ppo", "agent": {"clip": 1.5}}, "clip must be from 0 to 1, not 1.5"),
+        ({"algo": "ppo-kl", "agent": {"beta": 0}}, "beta must be at least 1e-09"),
     ],
 )
 def test_wrong_options_are_told(values: dict[str, Any], told: str) -> None:

@@ -20,6 +20,7 @@ from torchrl.objectives.value import GAE
 from manip.agents.agent import Spaces
 from manip.agents.on_policy import OnPolicy, OnPolicyConfig, losses
 from manip.agents.returns import n_step_advantages
+from manip.errors import UserError
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class A2CConfig(OnPolicyConfig):
     rollout_length: int = 8
     """Control steps of every world between two updates."""
     n_step: int | None = None
-    """n, rewards that a target sums up before it relies on V; by GAE if None."""
+    """n, rewards that a target sums up (fewer at a rollout's end); by GAE if None."""
     gae_lambda: float = 0.95
     """lambda, decay of the sum of GAE, which is used where n_step is None."""
     entropy_coefficient: float = 0.002
@@ -41,6 +42,7 @@ class A2C(OnPolicy):
 
     def __init__(self, config: A2CConfig, spaces: Spaces, threads: int = 1) -> None:
         self.config = config
+        _check_steps(config)
         super().__init__(config, spaces)
         self._gae = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None)
 
@@ -75,3 +77,11 @@ class A2C(OnPolicy):
             return self._gae(batch)
         n, gamma = self.config.n_step, self.config.gamma
         return n_step_advantages(batch, n, gamma, self.critic)
+
+
+def _check_steps(config: A2CConfig) -> None:
+    if config.n_step is not None and config.n_step > config.rollout_length:
+        raise UserError(
+            f"n_step is {config.n_step}, but a rollout has {config.rollout_length} "
+            "steps: set rollout_length to as many at least"
+        )

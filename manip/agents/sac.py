@@ -44,7 +44,7 @@ class SACConfig(OffPolicyConfig):
     actor_average: float = 0.005
     """Share of the actor that goes into the deployed one at each of its updates."""
     critics: int = 2
-    """How many critics there are (1 or 2); targets and actor take the lower value."""
+    """How many critics there are; targets and actor take the lowest value."""
     initial_alpha: float = 0.1
     """Temperature at the start."""
     fixed_alpha: bool = False

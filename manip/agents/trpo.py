@@ -3,9 +3,10 @@
     actor:     max E rho A  where  E KL(pi_old || pi) <= delta,
                rho = pi(a | s) / pi_old(a | s)
     step:      theta += sqrt(2 delta / (x' F x)) x,  x = F^-1 g by conjugate gradients,
-               g the gradient of E rho A, F the Hessian of the mean KL (Fisher matrix);
-               halved until the KL is within delta and E rho A has grown
-    critic:    min (V(s) - R)^2, by Adam
+               g the gradient of E rho A, F the Hessian of the mean KL (Fisher matrix)
+               and `damping` on its diagonal; halved until the KL is within delta and
+               E rho A has grown
+    critic:    min (V(s) - R)^2, by Adam with `learning_rate`
     advantage: GAE(lambda), R = A + V, as in PPO
 
 F is never formed: F v is the gradient of (gradient of KL)' v.
