@@ -24,6 +24,7 @@ from manip.agents.ppo import PPO, PPOConfig
 from manip.agents.sac import SAC, SACConfig
 from manip.benchmarks.contest import Contest, Contestant, Settings
 from manip.benchmarks.peers import peer
+from manip.errors import at_least
 
 Act = Callable[[np.ndarray], np.ndarray]
 """Observations [N, 3] -> actions [N, 1] in [-1, 1]."""
@@ -75,7 +76,12 @@ AGENTS: Mapping[str, Callable[[], Agent]] = {
 
 
 def contest(settings: Settings) -> Contest:
-    """Everybody's PPO and SAC; a round is a seed."""
+    """Everybody's PPO and SAC; a round is a seed.
+
+    Raises:
+        UserError: one seed has no interval; Stable-Baselines3 is not there.
+    """
+    at_least(2, "--rounds", settings.rounds)
     torch.set_num_threads(1)
     who = {"manip": ours, "SB3": peer("returns_sb3").learn}
     contestants = {
