@@ -11,6 +11,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from manip.studies.gradients import BASELINE, NS, Found
 from manip.studies.learning import Evaluated
@@ -93,6 +94,8 @@ def draw_algorithms(found: Sequence[Evaluated], path: Path) -> None:
         for axes in pair:
             axes.set(title=task, ylabel="success held [%]", ylim=(-3, 103))
             axes.set_xscale("log")
+            axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axes.xaxis.set_major_formatter("{x:g}")
     _save(figure, [axes for pair in grid for axes in pair], path)
 
 
