@@ -54,6 +54,8 @@ def draw_bias(found: Sequence[Found], path: Path) -> None:
         axes.set_xticks(NS, [str(n) for n in NS])
         axes.set(title=title, xlabel="n", ylabel="relative to |mean gradient|²")
     sides[0].set_yscale("log")
+    sides[1].set_yscale("symlog", linthresh=0.1)
+    sides[1].set_ylim(bottom=0)
     figure.suptitle(f"Estimates from n rewards and the critic, {found[0].task}")
     _save(figure, list(sides), path)
 
