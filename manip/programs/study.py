@@ -136,7 +136,8 @@ STUDIES: dict[str, tuple[Measured, Pictures]] = {
 
 def _table(found: Sequence[Any]) -> str:
     text = StringIO()
-    writer = csv.DictWriter(text, [field.name for field in fields(found[0])])
+    columns = [field.name for field in fields(found[0])]
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(asdict(row) for row in found)
     return text.getvalue()
