@@ -16,6 +16,7 @@ from manip.files import write_text
 from manip.programs import cli
 from manip.programs.evaluate import Evaluate, evaluate
 from manip.programs.render import Render, film
+from manip.training.checkpoint import Checkpoints
 from manip.training.config import recipe
 from manip.training.logs import read_metrics
 from manip.training.loop import Trainer
@@ -79,7 +80,7 @@ def _clear(folder: Path) -> None:
 
 
 def _unfinished(folder: Path, steps: int) -> bool:
-    if not (folder / "checkpoints" / "latest.safetensors").is_file():
+    if not Checkpoints(folder).exist():
         return False
     recorded = yaml.safe_load((folder / "config.yaml").read_text())
     rows = read_metrics(folder / "metrics.csv")

@@ -27,9 +27,8 @@ from manip.programs.evaluate import Evaluate, evaluate
 from manip.programs.results import table
 from manip.sim.stock import ROBOTS, check_choice
 from manip.training.build import imitates
-from manip.training.checkpoint import Checkpoints
 from manip.training.config import TrainConfig, recipes
-from manip.training.loop import Trainer
+from manip.training.loop import Trainer, begin_or_resume
 from manip.versions import versions
 
 STOPPED = 3
@@ -126,18 +125,12 @@ def _runs(config: TrainConfig, options: Reproduce, stored: Results) -> Iterator[
     for seed in range(options.seeds):
         name = _run_name(_key(config), seed)
         console.rule(name)
-        trainer = _trainer(replace(config, seed=seed, out=options.out / name))
+        trainer = begin_or_resume(replace(config, seed=seed, out=options.out / name))
         if not trainer.run():
             return
         run = _judged(trainer, options.episodes)
         console.print(f"{name}: {_comparison(run, _key(config), stored)}")
         yield run
-
-
-def _trainer(config: TrainConfig) -> Trainer:
-    """A new run, or the one that its folder holds."""
-    resume = Checkpoints(config.folder).exist()
-    return Trainer(replace(config, resume=resume))
 
 
 def _judged(trainer: Trainer, episodes: int) -> Run:

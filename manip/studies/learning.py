@@ -9,7 +9,7 @@ from manip.agents.ppo import PPOConfig
 from manip.errors import UserError
 from manip.training.config import TrainConfig, recipe, recorded
 from manip.training.logs import read_metrics
-from manip.training.loop import Trainer
+from manip.training.loop import begin_or_resume
 
 EPOCHS = (1, 5, 20)
 CLIPS = (0.2, None)
@@ -76,19 +76,18 @@ def evaluations(
         for seed in seeds:
             out = folder / f"{config.task}-{variant}-{seed}".replace(" ", "-")
             run = replace(config, seed=seed, out=out)
-            _finish(run, variant)
-            yield from _read(run, variant)
+            yield from _finished(run, variant)
 
 
-def _finish(run: TrainConfig, variant: str) -> None:
-    """Run what is left of a run."""
+def _finished(run: TrainConfig, variant: str) -> list[Evaluated]:
+    """The evaluations of a run, once what is left of it has been run."""
     _check_same(run)
     found = _read(run, variant)
     if found and found[-1].env_steps >= run.steps:
-        return
-    latest = run.folder / "checkpoints" / "latest.safetensors"
-    if not Trainer(replace(run, resume=latest.is_file())).run():
+        return found
+    if not begin_or_resume(run).run():
         raise KeyboardInterrupt
+    return _read(run, variant)
 
 
 def _check_same(run: TrainConfig) -> None:

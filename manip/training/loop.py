@@ -3,7 +3,7 @@
 import time
 import warnings
 from collections import deque
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -246,6 +246,12 @@ class Trainer:
 
     def _stop(self) -> None:
         self.stopping = True
+
+
+def begin_or_resume(config: TrainConfig) -> Trainer:
+    """A new run, or the one that its folder holds."""
+    resume = Checkpoints(config.folder).exist()
+    return Trainer(replace(config, resume=resume))
 
 
 def _check_folder(folder: Path, checkpoints: Checkpoints, resume: bool) -> None:
