@@ -47,12 +47,12 @@ def test_a_baseline_takes_noise_away_and_the_longest_n_is_the_return() -> None:
     agent = make_agent(QUICK_A2C, seed=0)
     env = Points([32] * 16)
     rollout = Rollout(env)
-    for _ in range(20):
+    for _ in range(60):
         agent.update(rollout.collect(agent.policy(), 8).batch)
     found = _sample(agent, env, count=30, horizon=32, length=8)
     torch.testing.assert_close(found["n = 32"], found[gradients.BASELINE])
     noise = {name: sample.var(0).sum() for name, sample in found.items()}
-    assert noise[gradients.BASELINE] < 0.7 * noise["R"]
+    assert noise[gradients.BASELINE] < 0.5 * noise["R"]
     assert noise["n = 1"] < noise[gradients.BASELINE]
 
 
