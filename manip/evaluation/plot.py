@@ -50,13 +50,14 @@ def plot_learning_curve(
 
 
 def _mark_time(axes: Axes, steps: np.ndarray, seconds: np.ndarray) -> None:
-    """Wall time of training as a second axis along the top."""
+    """Wall time of training as a second axis along the top, going on beyond its end."""
+    steps, seconds = (np.r_[0, known, 2 * known[-1]] for known in (steps, seconds))
 
     def to_seconds(x: ArrayLike) -> np.ndarray:
-        return np.interp(np.asarray(x, float), np.r_[0, steps], np.r_[0, seconds])
+        return np.interp(np.asarray(x, float), steps, seconds)
 
     def to_steps(x: ArrayLike) -> np.ndarray:
-        return np.interp(np.asarray(x, float), np.r_[0, seconds], np.r_[0, steps])
+        return np.interp(np.asarray(x, float), seconds, steps)
 
     top = axes.secondary_xaxis("top", functions=(to_seconds, to_steps))
     top.set_xlabel("training time [s]")
