@@ -67,7 +67,7 @@ demo: setup ## Run the demonstration; its results go to runs/demo
 # Keeps the comments. labmaze has no wheel for Python 3.13 and newer, and manip gets
 # along without it: only dm_control.locomotion imports it.
 lock: ## Write the versions found in .venv to requirements.lock
-	@$(PIP) freeze --all --exclude pip --exclude manip > .venv/frozen
+	@$(PIP) freeze --all --exclude pip --exclude manip-suite > .venv/frozen
 	@{ grep '^#' requirements.lock; \
 	   grep -Ev '^(-e|#|(nvidia|cuda)-|triton==)' .venv/frozen \
 	   | sed -e 's/+.*//' -e '/^labmaze==/s/$$/; python_version < "3.13"/' \

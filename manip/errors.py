@@ -1,7 +1,7 @@
 """Errors that say what was asked, what exists, and what to do."""
 
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from difflib import get_close_matches
 from numbers import Integral
 
@@ -53,3 +53,9 @@ def unknown(kind: str, asked: object, known: Iterable[str]) -> UserError:
     hint = f"did you mean {names[close[0]]!r}? " if close else ""
     listing = ", ".join(names.values())
     return UserError(f"unknown {kind} {shown(asked)}: {hint}known {kind}s: {listing}")
+
+
+def check_choice(kind: str, asked: str, known: Collection[str]) -> None:
+    """Raise `UserError` unless `asked` is one of the `known` names."""
+    if asked not in known:
+        raise unknown(kind, asked, sorted(known))

@@ -4,7 +4,7 @@ import platform
 from importlib.metadata import PackageNotFoundError, version
 
 PACKAGES = (
-    "manip",
+    "manip-suite",
     "mujoco",
     "robosuite",
     "dm_control",

@@ -28,7 +28,7 @@ from safetensors import safe_open
 from manip.programs import cli, evaluate, train
 
 RUN = """
-    --task Reach --num-worlds 4 --horizon 20 --steps 3200 --threads 2
+    --task Reach --num-envs 4 --horizon 20 --steps 3200 --threads 2
     --eval-every 640 --eval-episodes 2 --checkpoint-every 0
     --agent.actor-hidden 16 --agent.critic-hidden 16
 """

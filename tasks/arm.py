@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures
-from manip.sim.model import Scene
+from manip.sim.scene import Scene
 
 Array = np.ndarray
 
@@ -14,8 +14,8 @@ JOINT_NOISE = 0.02
 
 def start_qpos(scene: Scene, streams: EpisodeStreams) -> Array:
     """[n, nq]: the default pose with robosuite's noise on the arm's joints."""
-    qpos = np.tile(scene.handles.qpos, (len(streams), 1))
-    joints = scene.handles.arm.qpos
+    qpos = np.tile(scene.layout.qpos, (len(streams), 1))
+    joints = scene.layout.arm.qpos
     qpos[:, joints] += streams.normal(JOINT_NOISE, len(joints))
     return qpos
 

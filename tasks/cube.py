@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures
 from manip.rewards.kernels import ramp
-from manip.sim.model import Scene
-from tasks.arm import observe_arm, start_qpos
-from tasks.objects import poses, rotation, turns, yaw
+from manip.sim.scene import Scene
+from manip.tasks.arm import observe_arm, start_qpos
+from manip.tasks.objects import poses, rotation, turns, yaw
 
 Array = np.ndarray
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures
 
 Array = np.ndarray

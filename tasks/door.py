@@ -16,13 +16,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, ramp
-from manip.sim.handles import Sensors
-from manip.sim.model import Scene
-from tasks.arm import observe_arm, start_qpos, yaw_quaternion
-from tasks.scripts.door import door
+from manip.sim.scene import Scene
+from manip.sim.sensors import Sensors
+from manip.tasks.arm import observe_arm, start_qpos, yaw_quaternion
+from manip.tasks.experts.door import door
 
 Array = np.ndarray
 
@@ -60,7 +60,7 @@ class Door(Task):
         },
     )
     horizon = 100
-    stages = ("near", "turned", "ajar", "open")
+    milestone_names = ("near", "turned", "ajar", "open")
     weights: ClassVar[Weights] = {
         "shaped": {"reach": 0.1, "turn": 0.2, "open": 0.4, "stay": 0.3},
         "stock": {"reach": 0.25, "turn": 0.25, "open": 1.0},
@@ -124,11 +124,11 @@ class Door(Task):
         """The hinge is turned by more than 0.3 rad."""
         return m["hinge"] > OPEN
 
-    def script(self, m: Measures) -> Array:
-        """As `tasks.scripts.door`."""
+    def expert(self, m: Measures) -> Array:
+        """As `manip.tasks.experts.door`."""
         return door(m)
 
-    def reached(self, m: Measures) -> dict[str, Array]:
+    def milestones(self, m: Measures) -> dict[str, Array]:
         """near: tool within 10 cm of the handle; turned, ajar, open: see above."""
         return {
             "near": m["distance"] < 0.1,

@@ -17,14 +17,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, ramp
-from manip.sim.handles import Sensors
-from manip.sim.model import Scene
-from tasks.arm import start_qpos, yaw_quaternion
-from tasks.cube import CUBE, PADS, TABLE, closing, measure_cube, observe_cube
-from tasks.scripts.cube import take_cube
+from manip.sim.scene import Scene
+from manip.sim.sensors import Sensors
+from manip.tasks.arm import start_qpos, yaw_quaternion
+from manip.tasks.cube import CUBE, PADS, TABLE, closing, measure_cube, observe_cube
+from manip.tasks.experts.cube import take_cube
 
 Array = np.ndarray
 
@@ -45,7 +45,7 @@ class Lift(Task):
     robosuite_name = "Lift"
     sensors = Sensors(bodies=CUBE, touches=PADS)
     horizon = 100
-    stages = ("near", "grasp", "lift")
+    milestone_names = ("near", "grasp", "lift")
     weights: ClassVar[Weights] = {
         "shaped": {"reach": 0.2, "grasp": 0.25, "lift": 0.55},
         "stock": {"reach": 1 / 2.25, "grasp": 0.25 / 2.25, "lift": 1.0},
@@ -90,12 +90,12 @@ class Lift(Task):
         """The cube's centre is more than 4 cm above the table."""
         return m["height"] > LIFTED
 
-    def script(self, m: Measures) -> Array:
+    def expert(self, m: Measures) -> Array:
         """Grasp the cube, and up."""
         up = np.array([0.0, 0.0, 0.1])
         return take_cube(m, then=np.tile(up, (len(m["to_cube"]), 1)))
 
-    def reached(self, m: Measures) -> dict[str, Array]:
+    def milestones(self, m: Measures) -> dict[str, Array]:
         """near: tool within 3 cm of the cube; grasp: both pads touch; lift."""
         return {
             "near": m["distance"] < 0.03,

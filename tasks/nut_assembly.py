@@ -27,14 +27,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, ramp
-from manip.sim.handles import Sensors
-from manip.sim.model import Scene
-from tasks.arm import observe_arm, ready, start_qpos, yaw_quaternion
-from tasks.objects import PARKED, rotation, turns, yaw
-from tasks.scripts.nut_assembly import nut_assembly
+from manip.sim.scene import Scene
+from manip.sim.sensors import Sensors
+from manip.tasks.arm import observe_arm, ready, start_qpos, yaw_quaternion
+from manip.tasks.experts.nut_assembly import nut_assembly
+from manip.tasks.objects import PARKED, rotation, turns, yaw
 
 Array = np.ndarray
 
@@ -77,7 +77,7 @@ class NutAssembly(Task):
     play: ClassVar[float]
 
     horizon = 150
-    stages = ("near", "grasp", "lift", "over", "on_peg", "success")
+    milestone_names = ("near", "grasp", "lift", "over", "on_peg", "success")
     weights: ClassVar[Weights] = {
         "shaped": {
             "reach": 0.1,
@@ -181,7 +181,7 @@ class NutAssembly(Task):
         }
 
     def _stock_terms(self, m: Measures) -> dict[str, Array]:
-        """The largest of robosuite's stages; to lift, it takes the higher nut."""
+        """The largest of robosuite's milestones; to lift, it takes the higher nut."""
         highest = np.maximum(m["height"], m["other_pos"][:, 2])
         below = np.maximum(TABLE - 0.025 + 0.2 - highest, 0.0)
         lift = m["grasped"] * (0.35 + 0.15 * near(below, 1 / 15))
@@ -198,11 +198,11 @@ class NutAssembly(Task):
         clear = np.linalg.norm(m["nut_pos"] - m["eef_pos"], axis=1) > CLEAR
         return beside & (m["height"] < LOW) & clear
 
-    def script(self, m: Measures) -> Array:
-        """As `tasks.scripts.nut_assembly`."""
+    def expert(self, m: Measures) -> Array:
+        """As `manip.tasks.experts.nut_assembly`."""
         return nut_assembly(m)
 
-    def reached(self, m: Measures) -> dict[str, Array]:
+    def milestones(self, m: Measures) -> dict[str, Array]:
         """near: tool within 5 cm of the handle; lift: by 3 cm; over: within 3 cm."""
         lifted = m["held"] & (m["height"] > REST + 0.03)
         return {

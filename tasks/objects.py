@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from manip.envs.streams import EpisodeStreams
-from tasks.arm import yaw_quaternion
+from manip.envs.episode_streams import EpisodeStreams
+from manip.tasks.arm import yaw_quaternion
 
 Array = np.ndarray
 

@@ -18,16 +18,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, ramp, tolerance
-from manip.sim.handles import Sensors
-from manip.sim.model import Scene
-from tasks.cube import CUBE, PADS, closing, measure_cube, observe_cube, start_cube
-from tasks.objects import rotation, turns, yaw
-from tasks.scenes.cube import HALF, SPREAD
-from tasks.scenes.pick_goal import GOAL_HIGH, GOAL_LOW, REACHED
-from tasks.scripts.cube import take_cube
+from manip.sim.scene import Scene
+from manip.sim.sensors import Sensors
+from manip.tasks.cube import CUBE, PADS, closing, measure_cube, observe_cube, start_cube
+from manip.tasks.experts.cube import take_cube
+from manip.tasks.objects import rotation, turns, yaw
+from manip.tasks.scenes.cube import HALF, SPREAD
+from manip.tasks.scenes.pick_goal import GOAL_HIGH, GOAL_LOW, REACHED
 
 Array = np.ndarray
 
@@ -43,7 +43,7 @@ class PickGoal(Task):
         fields={"goal_place": ("site_pos", "goal")},
     )
     horizon = 100
-    stages = ("near", "grasp", "lift", "goal")
+    milestone_names = ("near", "grasp", "lift", "goal")
     weights: ClassVar[Weights] = {
         "shaped": {
             "reach": 0.15,
@@ -104,11 +104,11 @@ class PickGoal(Task):
         """The cube's centre is within 2.5 cm of the goal."""
         return m["gap"] < REACHED
 
-    def script(self, m: Measures) -> Array:
+    def expert(self, m: Measures) -> Array:
         """Grasp the cube, and straight to the goal."""
         return take_cube(m, then=m["to_goal"])
 
-    def reached(self, m: Measures) -> dict[str, Array]:
+    def milestones(self, m: Measures) -> dict[str, Array]:
         """near: tool within 3 cm of the cube; lift: held, 3 cm above its rest."""
         return {
             "near": m["distance"] < 0.03,

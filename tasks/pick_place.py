@@ -24,14 +24,14 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, ramp
-from manip.sim.handles import Sensors
-from manip.sim.model import Scene
-from tasks.arm import observe_arm, ready, start_qpos
-from tasks.objects import PARKED, poses, rotation, scatter, turns, yaw
-from tasks.scripts.pick_place import pick_place
+from manip.sim.scene import Scene
+from manip.sim.sensors import Sensors
+from manip.tasks.arm import observe_arm, ready, start_qpos
+from manip.tasks.experts.pick_place import pick_place
+from manip.tasks.objects import PARKED, poses, rotation, scatter, turns, yaw
 
 Array = np.ndarray
 
@@ -132,7 +132,7 @@ class PickPlace(Task):
 
     item: ClassVar[str]
     horizon = 150
-    stages = ("near", "grasp", "lift", "across", "over", "place")
+    milestone_names = ("near", "grasp", "lift", "across", "over", "place")
     weights: ClassVar[Weights] = {
         "shaped": {
             "reach": 0.1,
@@ -233,7 +233,7 @@ class PickPlace(Task):
         }
 
     def _stock_terms(self, m: Measures) -> dict[str, Array]:
-        """The largest of robosuite's stages; to lift, it takes the highest object."""
+        """The largest of robosuite's milestones; to lift, it takes the highest object."""
         lift = m["grasped"] * (0.35 + 0.15 * near(_below(m), 1 / 15))
         over = (np.abs(m["to_place"]) < QUARTER).all(axis=1)
         hover = np.where(over, 0.5, lift) + 0.2 * near(_length(m["to_place"]), 0.1)
@@ -247,11 +247,11 @@ class PickPlace(Task):
         """The object is in its quarter of the bin, and the tool away from it."""
         return m["inside"] & (m["distance"] > AWAY)
 
-    def script(self, m: Measures) -> Array:
-        """As `tasks.scripts.pick_place`."""
+    def expert(self, m: Measures) -> Array:
+        """As `manip.tasks.experts.pick_place`."""
         return pick_place(m, BIN, ITEMS[self.item].folds)
 
-    def reached(self, m: Measures) -> dict[str, Array]:
+    def milestones(self, m: Measures) -> dict[str, Array]:
         """near: tool within 3 cm of the grip; lift: by 10 cm; across: the bins' gap."""
         lifted = m["held"] & (m["height"] > 0.1)
         return {

@@ -20,12 +20,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, ramp, tolerance
-from manip.sim.handles import Sensors
-from manip.sim.model import Scene
-from tasks.cube import (
+from manip.sim.scene import Scene
+from manip.sim.sensors import Sensors
+from manip.tasks.cube import (
     CUBE,
     PADS,
     TABLE,
@@ -34,10 +34,10 @@ from tasks.cube import (
     observe_cube,
     start_cube,
 )
-from tasks.objects import rotation, scatter, turns, yaw
-from tasks.scenes.cube import HALF, SPREAD
-from tasks.scenes.push import APART, DOWN, GOAL_HIGH, REACHED
-from tasks.scripts.cube import take_cube
+from manip.tasks.experts.cube import take_cube
+from manip.tasks.objects import rotation, scatter, turns, yaw
+from manip.tasks.scenes.cube import HALF, SPREAD
+from manip.tasks.scenes.push import APART, DOWN, GOAL_HIGH, REACHED
 
 Array = np.ndarray
 
@@ -53,7 +53,7 @@ class Push(Task):
         fields={"goal_place": ("site_pos", "goal")},
     )
     horizon = 100
-    stages = ("near", "close", "push")
+    milestone_names = ("near", "close", "push")
     weights: ClassVar[Weights] = {
         "shaped": {"reach": 0.15, "grasp": 0.2, "slide": 0.3, "at_goal": 0.35},
         "stock": {"reach": 0.25, "slide": 0.5, "push": 1.0},
@@ -113,11 +113,11 @@ class Push(Task):
         """The cube is on the table, within 3 cm of the goal."""
         return m["down"] & (m["gap"] < REACHED)
 
-    def script(self, m: Measures) -> Array:
+    def expert(self, m: Measures) -> Array:
         """Grasp the cube, and drag it over the table to the goal."""
         return take_cube(m, then=np.column_stack([m["to_goal"], HALF - m["height"]]))
 
-    def reached(self, m: Measures) -> dict[str, Array]:
+    def milestones(self, m: Measures) -> dict[str, Array]:
         """near: tool within 5 cm of the cube; close: cube within 6 cm of the goal."""
         return {
             "near": m["distance"] < 0.05,

@@ -12,14 +12,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, tolerance
-from manip.sim.handles import Sensors
-from manip.sim.model import Scene
-from tasks.arm import observe_arm, start_qpos
-from tasks.scenes.reach import GOAL_HIGH, GOAL_LOW, REACHED
-from tasks.scripts.motion import towards
+from manip.sim.scene import Scene
+from manip.sim.sensors import Sensors
+from manip.tasks.arm import observe_arm, start_qpos
+from manip.tasks.experts.motion import towards
+from manip.tasks.scenes.reach import GOAL_HIGH, GOAL_LOW, REACHED
 
 Array = np.ndarray
 
@@ -32,7 +32,7 @@ class Reach(Task):
         sites={"goal": "goal"}, fields={"goal_place": ("site_pos", "goal")}
     )
     horizon = 80
-    stages = ("near", "reach")
+    milestone_names = ("near", "reach")
     weights: ClassVar[Weights] = {
         "shaped": {"near": 0.5, "at_goal": 0.5},
         "stock": {"reach": 1.0},
@@ -74,10 +74,10 @@ class Reach(Task):
         """The tool is within 2 cm of the goal."""
         return m["distance"] < REACHED
 
-    def script(self, m: Measures) -> Array:
+    def expert(self, m: Measures) -> Array:
         """Straight to the goal."""
         return towards(m["to_goal"], np.ones(len(m["to_goal"])))
 
-    def reached(self, m: Measures) -> dict[str, Array]:
+    def milestones(self, m: Measures) -> dict[str, Array]:
         """near: within 10 cm; reach: within 2 cm."""
         return {"near": m["distance"] < 0.1, "reach": self.success(m)}

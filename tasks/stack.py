@@ -25,14 +25,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, ramp
-from manip.sim.handles import Sensors
-from manip.sim.model import Scene
-from tasks.arm import observe_arm, start_qpos
-from tasks.objects import poses, rotation, scatter, turns, yaw
-from tasks.scripts.stack import stack
+from manip.sim.scene import Scene
+from manip.sim.sensors import Sensors
+from manip.tasks.arm import observe_arm, start_qpos
+from manip.tasks.experts.stack import stack
+from manip.tasks.objects import poses, rotation, scatter, turns, yaw
 
 Array = np.ndarray
 
@@ -71,7 +71,7 @@ class Stack(Task):
         },
     )
     horizon = 100
-    stages = ("near", "grasp", "lift", "aligned", "on", "stack")
+    milestone_names = ("near", "grasp", "lift", "aligned", "on", "stack")
     weights: ClassVar[Weights] = {
         "shaped": {
             "reach": 0.08,
@@ -179,11 +179,11 @@ class Stack(Task):
         """A is on or against B, off the table, and not between the finger pads."""
         return (m["cubes_touch"] > 0) & (m["height"] > LIFTED) & ~m["grasped"]
 
-    def script(self, m: Measures) -> Array:
-        """As `tasks.scripts.stack`."""
+    def expert(self, m: Measures) -> Array:
+        """As `manip.tasks.experts.stack`."""
         return stack(m, STACKED)
 
-    def reached(self, m: Measures) -> dict[str, Array]:
+    def milestones(self, m: Measures) -> dict[str, Array]:
         """near: tool within 3 cm of A; lift: by 3 cm; aligned: 3 cm beside B; on."""
         lifted = (m["held"] > 0) & (m["height"] - HALF["cubeA"] > 0.03)
         return {

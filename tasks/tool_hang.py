@@ -24,15 +24,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, ramp
-from manip.sim.handles import Sensors
-from manip.sim.model import Scene
-from tasks.arm import observe_arm, start_qpos, yaw_quaternion
-from tasks.hanging import GRIP, HOOK, MOUTH, assembled, place, threaded
-from tasks.objects import rotation
-from tasks.scripts.tool_hang import tool_hang
+from manip.sim.scene import Scene
+from manip.sim.sensors import Sensors
+from manip.tasks.arm import observe_arm, start_qpos, yaw_quaternion
+from manip.tasks.experts.tool_hang import tool_hang
+from manip.tasks.hanging import GRIP, HOOK, MOUTH, assembled, place, threaded
+from manip.tasks.objects import rotation
 
 Array = np.ndarray
 
@@ -77,7 +77,7 @@ class ToolHang(Task):
         },
     )
     horizon = 400
-    stages = (
+    milestone_names = (
         "near_frame",
         "grasp_frame",
         "upright",
@@ -176,11 +176,11 @@ class ToolHang(Task):
         """The frame stands, and the wrench hangs on it by itself."""
         return m["assembled"] & m["hung"]
 
-    def script(self, m: Measures) -> Array:
-        """As `tasks.scripts.tool_hang`."""
+    def expert(self, m: Measures) -> Array:
+        """As `manip.tasks.experts.tool_hang`."""
         return tool_hang(m)
 
-    def reached(self, m: Measures) -> dict[str, Array]:
+    def milestones(self, m: Measures) -> dict[str, Array]:
         """near: within 5 cm; upright: to 15 degrees; carry: hole 3 cm from the hook."""
         upright = m["frame_held"] & (m["frame_mat"][:, 8] > np.cos(np.pi / 12))
         carried = np.linalg.norm(m["to_hook"], axis=1) < 0.03

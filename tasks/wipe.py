@@ -17,15 +17,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near
-from manip.sim.handles import Sensors
-from manip.sim.model import Scene
-from tasks.arm import observe_arm, start_qpos
-from tasks.dirt import MARKERS, below, left, walk
-from tasks.objects import turns, yaw
-from tasks.scripts.wipe import wipe
+from manip.sim.scene import Scene
+from manip.sim.sensors import Sensors
+from manip.tasks.arm import observe_arm, start_qpos
+from manip.tasks.dirt import MARKERS, below, left, walk
+from manip.tasks.experts.wipe import wipe
+from manip.tasks.objects import turns, yaw
 
 Array = np.ndarray
 
@@ -58,7 +58,7 @@ class Wipe(Task):
         memory={"was_wiped": MARKERS, "last_force": 3, "bias": 3},
     )
     horizon = 200
-    stages = ("near", "touch", "begun", "half", "clean")
+    milestone_names = ("near", "touch", "begun", "half", "clean")
     weights: ClassVar[Weights] = {
         "shaped": {"near": 0.15, "touch": 0.05, "wiped": 0.6, "clean": 0.2},
         "stock": {
@@ -106,7 +106,7 @@ class Wipe(Task):
             "unsafe": unsafe,
         }
 
-    def remember(self, m: Measures) -> Mapping[str, Array]:
+    def update_memory(self, m: Measures) -> Mapping[str, Array]:
         """What is wiped, the force, and that of the first step, robosuite's bias."""
         first = (m["last_force"] != 0).any(axis=1) & (m["bias"] == 0).all(axis=1)
         return {
@@ -174,11 +174,11 @@ class Wipe(Task):
         """A link touches something, or a joint is near its limit."""
         return m["unsafe"]
 
-    def script(self, m: Measures) -> Array:
-        """As `tasks.scripts.wipe`."""
+    def expert(self, m: Measures) -> Array:
+        """As `manip.tasks.experts.wipe`."""
         return wipe(m)
 
-    def reached(self, m: Measures) -> dict[str, Array]:
+    def milestones(self, m: Measures) -> dict[str, Array]:
         """near: within 5 cm of a marker; touch; a tenth, half and all are wiped."""
         return {
             "near": m["distance"] < 0.05,

@@ -5,10 +5,10 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from manip.envs.registry import load_task
 from manip.envs.task import Task
-from manip.sim.model import Fidelity, Scene, build_scene
-from manip.sim.stock import make_stock
+from manip.envs.task_registry import load_task
+from manip.sim.robosuite_factory import make_stock
+from manip.sim.scene import Fidelity, Scene, build_scene
 
 torch.set_num_threads(1)
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from manip.envs.registry import task_names
+from manip.envs.task_registry import task_names
 
 LONG = {"ToolHang"}
 """Tasks whose scripts take hundreds of steps, for the slow tests."""

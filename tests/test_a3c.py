@@ -8,7 +8,7 @@ from toy import QUICK_A2C, SPACES, Points, make_agent, mean_return
 
 from manip.agents.a2c import A2C
 from manip.agents.a3c import A3C, A3CConfig
-from manip.training.rollout import Collector
+from manip.training.collector import Collector
 
 QUICK = A3CConfig(
     learning_rate=1e-2,
@@ -47,7 +47,7 @@ def test_a_gradient_is_of_the_parameters_that_its_worker_copied() -> None:
     agent._params.data += 1
     assert torch.equal(policy.copy._params.data, copied)
     batch = Points([20] * 4).rollout(8, policy, break_when_any_done=False)
-    found = agent.digest(policy, batch.clone())
+    found = agent.process_rollout(policy, batch.clone())
     alone = A2C(QUICK, SPACES)
     alone.load(policy.copy)
     alone._max_gradient = 1e9

@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Task
-from manip.sim.engine import BatchEngine
-from manip.sim.model import Scene, load_scene
-from manip.sim.stock import ROBOTS
+from manip.sim.batch_engine import BatchEngine
+from manip.sim.robot_config import ROBOTS
+from manip.sim.scene import Scene, load_scene
 
 Array = np.ndarray
 
@@ -38,7 +38,7 @@ def test_the_script_lifts_the_cube_and_keeps_it(lift: Task, scene: Scene) -> Non
     engine.write(worlds, *lift.sample_start(scene, EpisodeStreams(0, worlds, worlds)))
     held = []
     for _ in range(lift.horizon):
-        engine.step(lift.script(lift.measure(engine.read())))
+        engine.step(lift.expert(lift.measure(engine.read())))
         held.append(lift.success(lift.measure(engine.read())))
     assert engine.broken_count == 0
     assert np.array(held[-HELD_STEPS:]).all()
@@ -57,7 +57,7 @@ def test_a_hand_shuts_to_the_width_that_is_read(lift: Task, scene: Scene) -> Non
 
 def shut(scene: Scene) -> float:
     """Gap [m] between the pads of the hand in the air, half a second after it shut."""
-    model, handles = scene.visual, scene.handles
+    model, handles = scene.visual, scene.layout
     data, gripper, arm = mujoco.MjData(model), handles.gripper, handles.arm
     data.qpos[:] = handles.qpos
     for _ in range(500):

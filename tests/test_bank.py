@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from manip.envs.bank import CAPACITY, StateBank
-from manip.envs.native import NativeWorlds
-from manip.envs.streams import EpisodeStreams
-from manip.sim.engine import Snapshot
-from manip.sim.model import Scene
-from tasks.lift import Lift
+from manip.envs.backends.native_batch import NativeBatch
+from manip.envs.episode_streams import EpisodeStreams
+from manip.envs.restart_buffer import CAPACITY, RestartBuffer
+from manip.sim.batch_engine import Snapshot
+from manip.sim.scene import Scene
+from manip.tasks.lift import Lift
 
 DOWN = np.array([0.0, 0, -1, 0, 0, 0, -1])
 """Action [A]: towards the table, gripper open."""
@@ -16,9 +16,9 @@ DOWN = np.array([0.0, 0, -1, 0, 0, 0, -1])
 class Descend(Lift):
     """A stage that going down reaches."""
 
-    stages = ("low", "lift")
+    milestone_names = ("low", "lift")
 
-    def reached(self, m):
+    def milestones(self, m):
         return {"low": m["eef_pos"][:, 2] < 0.9, "lift": self.success(m)}
 
 
@@ -27,7 +27,7 @@ def snapshot(values: list[float]) -> Snapshot:
     return Snapshot(column, 10 * column)
 
 
-def drawn(bank: StateBank, number: int = 300) -> np.ndarray:
+def drawn(bank: RestartBuffer, number: int = 300) -> np.ndarray:
     """States [number] that the bank gives, whose readings fit them."""
     worlds = np.arange(number)
     found = bank.draw(EpisodeStreams(0, worlds, worlds))
@@ -36,7 +36,7 @@ def drawn(bank: StateBank, number: int = 300) -> np.ndarray:
 
 
 def test_a_state_is_kept_by_its_last_stage_unless_none_or_all_is_done() -> None:
-    bank = StateBank(3, snapshot([0]))
+    bank = RestartBuffer(3, snapshot([0]))
     assert bank.empty
     reached = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [1, 1, 1]])
     bank.keep(snapshot([1, 2, 3, 4, 5]), reached.astype(bool))
@@ -47,7 +47,7 @@ def test_a_state_is_kept_by_its_last_stage_unless_none_or_all_is_done() -> None:
 
 
 def test_stages_are_drawn_alike_whatever_they_hold() -> None:
-    bank = StateBank(3, snapshot([0]))
+    bank = RestartBuffer(3, snapshot([0]))
     bank.keep(snapshot([7]), np.array([[True, True, False]]))
     for value in range(20):
         bank.keep(snapshot([20 + value]), np.array([[True, False, False]]))
@@ -55,26 +55,31 @@ def test_stages_are_drawn_alike_whatever_they_hold() -> None:
 
 
 def test_the_latest_states_are_kept() -> None:
-    bank = StateBank(2, snapshot([0]))
+    bank = RestartBuffer(2, snapshot([0]))
     for value in range(CAPACITY + 50):
         bank.keep(snapshot([value]), np.array([[True, False]]))
     assert drawn(bank, 5000).min() >= 50
 
 
-def heights(worlds: NativeWorlds, steps: int) -> np.ndarray:
+def heights(worlds: NativeBatch, steps: int) -> np.ndarray:
     """Of the tools [steps, N] m, as every world goes down again and again."""
-    worlds.begin(np.arange(worlds.num_worlds))
+    worlds.begin(np.arange(worlds.num_envs))
     found = []
     for _ in range(steps):
-        over = worlds.step(np.tile(DOWN, (worlds.num_worlds, 1))).done
+        over = worlds.step(np.tile(DOWN, (worlds.num_envs, 1))).done
         worlds.begin(np.flatnonzero(over))
         found.append(worlds.read()["eef_pos"][:, 2].copy())
     return np.array(found)
 
 
-def descending(scene: Scene, own_starts: float) -> NativeWorlds:
-    return NativeWorlds(
-        Descend(), 4, scene=scene, horizon=30, threads=1, own_starts=own_starts
+def descending(scene: Scene, restart_fraction: float) -> NativeBatch:
+    return NativeBatch(
+        Descend(),
+        4,
+        scene=scene,
+        horizon=30,
+        threads=1,
+        restart_fraction=restart_fraction,
     )
 
 

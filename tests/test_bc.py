@@ -12,10 +12,10 @@ from torchrl.envs import check_env_specs
 
 from manip.agents.agent import Spaces
 from manip.agents.bc import BC, BCConfig, Demonstration
+from manip.envs.adapters.torchrl import NativeEnv
 from manip.envs.task import Task
-from manip.envs.torchrl import NativeEnv
 from manip.errors import UserError
-from manip.sim.model import Scene
+from manip.sim.scene import Scene
 from manip.training.build import training_envs
 from manip.training.config import from_dict
 
@@ -26,7 +26,7 @@ QUICK = BCConfig(actor_hidden=(32,), batch_size=32, learning_rate=3e-3)
 def shown(rows: int, seed: int = 0) -> TensorDict:
     """Steps [1, rows] of a script that grips while it moves towards x = 0."""
     x = torch.rand(1, rows, 1, generator=torch.Generator().manual_seed(seed)) * 2 - 1
-    return TensorDict({"observation": x, "script": scripted(x)}, (1, rows))
+    return TensorDict({"observation": x, "expert_action": scripted(x)}, (1, rows))
 
 
 def scripted(x: Tensor) -> Tensor:
@@ -42,7 +42,7 @@ def test_the_loss_is_the_distance_of_the_actions() -> None:
     agent = agent_of(replace(QUICK, batch_size=256, updates_per_step=1 / 256))
     batch = shown(256)
     with torch.no_grad():
-        drawn = agent.actor.decide(batch["observation"]) - batch["script"]
+        drawn = agent.actor.decide(batch["observation"]) - batch["expert_action"]
     found = agent.update(batch)["loss_actor"]
     assert found == pytest.approx(drawn.abs().mean().item(), rel=0.1)  # with repeats
 
@@ -70,7 +70,9 @@ def test_it_learns_what_it_is_shown() -> None:
 def disturbed(noise: float, lasting: int, steps: int) -> Tensor:
     """[steps, 5, 2]: actions of five worlds in which the script rests."""
     policy = Demonstration(agent_of().actor, noise, lasting, clones=0.0)
-    rest = TensorDict({"observation": torch.ones(5, 1), "script": torch.zeros(5, 2)}, 5)
+    rest = TensorDict(
+        {"observation": torch.ones(5, 1), "expert_action": torch.zeros(5, 2)}, 5
+    )
     return torch.stack([policy(rest.clone())["action"] for _ in range(steps)])
 
 
@@ -93,10 +95,10 @@ def test_disturbed_actions_stay_in_range() -> None:
 def test_the_clone_acts_in_the_last_worlds_once_it_has_learned() -> None:
     agent = agent_of(replace(QUICK, noise=0.0, clones=0.4))
     now = shown(5).squeeze(0)
-    assert torch.equal(agent.policy()(now.clone())["action"], now["script"])
+    assert torch.equal(agent.policy()(now.clone())["action"], now["expert_action"])
     agent.update(shown(64))
     action, own = agent.policy()(now.clone())["action"], agent.actor.decide
-    assert torch.equal(action[:3], now["script"][:3])
+    assert torch.equal(action[:3], now["expert_action"][:3])
     assert torch.equal(action[3:], own(now["observation"][3:]))
 
 
@@ -104,19 +106,19 @@ def test_the_clone_acts_in_the_last_worlds_once_it_has_learned() -> None:
 
 
 def test_worlds_say_what_the_script_would_do(lift: Task, lift_scene: Scene) -> None:
-    env = NativeEnv(lift, 3, script=True, scene=lift_scene, threads=1)
+    env = NativeEnv(lift, 3, expert=True, scene=lift_scene, threads=1)
     check_env_specs(env)
     state = env.reset()
     for _ in range(3):
-        measures = lift.measure(env.worlds.engine.read())
-        wanted = torch.from_numpy(lift.script(measures)).float()
-        assert torch.equal(state["script"], wanted)
-        state["action"] = state["script"]
+        measures = lift.measure(env.batch.engine.read())
+        wanted = torch.from_numpy(lift.expert(measures)).float()
+        assert torch.equal(state["expert_action"], wanted)
+        state["action"] = state["expert_action"]
         _, state = env.step_and_maybe_reset(state)
 
 
 def test_a_task_without_a_script_says_so(scene_of) -> None:
-    env = NativeEnv(Tiny(), 2, script=True, scene=scene_of(Tiny()), threads=1)
+    env = NativeEnv(Tiny(), 2, expert=True, scene=scene_of(Tiny()), threads=1)
     with pytest.raises(UserError, match=r"'Tiny' has no script .* another algorithm"):
         env.reset()
 

@@ -7,14 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from manip.benchmarks import contest, returns, startup, worlds
+from manip.benchmarks import bench_returns as returns
+from manip.benchmarks import bench_startup as startup
+from manip.benchmarks import contest
+from manip.benchmarks import task_envs as worlds
 from manip.benchmarks.contest import Contest, Settings, hold
 from manip.envs.task import Task
 from manip.programs import cli
 from manip.programs.benchmark import main
-from manip.sim.bare import bare_physics
-from manip.sim.engine import BatchEngine
-from manip.sim.model import Scene
+from manip.sim.bare_physics import bare_physics
+from manip.sim.batch_engine import BatchEngine
+from manip.sim.scene import Scene
 
 
 @pytest.fixture(autouse=True)
@@ -137,7 +140,7 @@ def test_a_start_that_fails_says_why() -> None:
 
 
 @pytest.mark.parametrize(
-    ("what", "library"), [("neighbour", "envpool"), ("returns", "stable_baselines3")]
+    ("what", "library"), [("envpool", "envpool"), ("returns", "stable_baselines3")]
 )
 def test_without_the_extra_a_benchmark_says_what_to_install(
     what: str, library: str, monkeypatch, capsys
@@ -175,7 +178,7 @@ def test_both_learners_of_returns_learn(monkeypatch) -> None:
 @pytest.mark.slow
 def test_the_neighbour_runs_at_our_control_rate(tmp_path: Path) -> None:
     pytest.importorskip("envpool")
-    found = figures(tmp_path, "neighbour")
+    found = figures(tmp_path, "envpool")
     assert found["fast_engine_vs_envpool"] > 0
 
 

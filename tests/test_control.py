@@ -7,9 +7,9 @@ from robosuite.utils.control_utils import nullspace_torques, opspace_matrices
 from scipy.spatial.transform import Rotation
 
 from manip.compiled import jit
-from manip.sim import control
-from manip.sim.control import NULL_KP, Work, new_work
-from manip.sim.model import Scene
+from manip.sim import control_laws as control
+from manip.sim.control_laws import NULL_KP, Work, new_work
+from manip.sim.scene import Scene
 
 Array = np.ndarray
 
@@ -226,7 +226,7 @@ def test_joint_torques_give_the_acceleration_asked(seed: int) -> None:
 
 
 def test_gains_are_robosuites_defaults(lift_scene: Scene) -> None:
-    arm = lift_scene.handles.arm
+    arm = lift_scene.layout.arm
     assert (arm.osc, arm.kp) == (True, 150.0)
     assert arm.kd == pytest.approx(2 * np.sqrt(150))
     np.testing.assert_allclose(arm.scale, SCALE)

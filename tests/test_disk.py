@@ -11,7 +11,7 @@ import pytest
 from test_training import assert_equal_runs, tiny
 
 from manip.errors import UserError
-from manip.training.loop import Trainer
+from manip.training.trainer import Trainer
 
 pytestmark = pytest.mark.slow
 

@@ -8,11 +8,12 @@ import pytest
 from dm_env.test_utils import EnvironmentTestMixin
 from tiny import Tiny
 
-from manip.envs import native, single
-from manip.envs.dm_env import TaskEnvironment
-from manip.envs.native import NativeWorlds
-from manip.envs.registry import load_task
-from manip.sim.model import Scene
+from manip.envs.adapters.dm_env import TaskEnvironment
+from manip.envs.backends import make as single
+from manip.envs.backends import native_batch as native
+from manip.envs.backends.native_batch import NativeBatch
+from manip.envs.task_registry import load_task
+from manip.sim.scene import Scene
 
 
 @pytest.fixture(autouse=True)
@@ -29,9 +30,9 @@ class TestDmEnvSuite(EnvironmentTestMixin, TestCase):
 
 def test_observations_are_the_tasks_parts() -> None:
     env = TaskEnvironment("Reach", seed=3)
-    worlds = NativeWorlds(load_task("Reach"), 1, seed=3)
+    worlds = NativeBatch(load_task("Reach"), 1, seed=3)
     worlds.begin(np.zeros(1, int))
-    found, expected = env.reset().observation, worlds.look().observation[0]
+    found, expected = env.reset().observation, worlds.observe().observation[0]
     assert list(found) == list(env.observation_spec()) == list(worlds.layout)
     np.testing.assert_array_equal(np.concatenate(list(found.values())), expected)
 

@@ -8,32 +8,32 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Task
 from manip.errors import UserError
-from manip.sim.engine import BatchEngine
-from manip.sim.handles import Sensors
-from manip.sim.model import Scene, build_scene
-from manip.sim.stock import make_stock
+from manip.sim.batch_engine import BatchEngine
+from manip.sim.robosuite_factory import make_stock
+from manip.sim.scene import Scene, build_scene
+from manip.sim.sensors import Sensors
 
 Array = np.ndarray
 
 
 def start(task: Task, engine: BatchEngine, seed: int = 0) -> None:
     """Begin an episode in every world."""
-    worlds = np.arange(engine.num_worlds)
+    worlds = np.arange(engine.num_envs)
     streams = EpisodeStreams(seed, worlds, 0 * worlds)
     engine.write(worlds, *task.sample_start(engine.scene, streams))
 
 
-def started(task: Task, scene: Scene, num_worlds: int, threads: int = 1) -> BatchEngine:
-    engine = BatchEngine(scene, num_worlds, threads)
+def started(task: Task, scene: Scene, num_envs: int, threads: int = 1) -> BatchEngine:
+    engine = BatchEngine(scene, num_envs, threads)
     start(task, engine)
     return engine
 
 
-def random_actions(steps: int, num_worlds: int, action_dim: int = 7) -> Array:
-    return np.random.default_rng(1).uniform(-1, 1, (steps, num_worlds, action_dim))
+def random_actions(steps: int, num_envs: int, action_dim: int = 7) -> Array:
+    return np.random.default_rng(1).uniform(-1, 1, (steps, num_envs, action_dim))
 
 
 def run(engine: BatchEngine, actions: Array) -> None:
@@ -44,7 +44,7 @@ def run(engine: BatchEngine, actions: Array) -> None:
 def close_in(task: Task, engine: BatchEngine, steps: int) -> None:
     """Let the script bring every world into contact."""
     for _ in range(steps):
-        engine.step(task.script(task.measure(engine.read())))
+        engine.step(task.expert(task.measure(engine.read())))
 
 
 def assert_same(a: BatchEngine, b: BatchEngine, worlds=slice(None)) -> None:
@@ -61,10 +61,10 @@ def forward(scene: Scene, qpos: Array) -> mujoco.MjData:
 
 
 def tool(scene: Scene, qpos: Array) -> Array:
-    return forward(scene, qpos).site_xpos[scene.handles.arm.tool]
+    return forward(scene, qpos).site_xpos[scene.layout.arm.tool]
 
 
-# Worlds and threads
+# TaskBatch and threads
 
 
 def test_a_batch_is_its_worlds_one_by_one(lift: Task, lift_scene: Scene) -> None:
@@ -246,7 +246,7 @@ def test_positions_are_fresh_after_a_reset(lift: Task, lift_scene: Scene) -> Non
         *(engine.read()[name] for name in ("qpos", "eef_pos", "cube_pos")), strict=True
     ):
         data = forward(lift_scene, read_qpos)
-        tool_site = data.site_xpos[lift_scene.handles.arm.tool]
+        tool_site = data.site_xpos[lift_scene.layout.arm.tool]
         np.testing.assert_array_equal(eef, tool_site)
         np.testing.assert_array_equal(cube, data.body("cube_main").xpos)
 
@@ -298,7 +298,7 @@ def test_the_callers_action_stays_as_it_is(lift: Task, lift_scene: Scene) -> Non
     np.testing.assert_array_equal(action, before)
 
 
-# Worlds that break
+# TaskBatch that break
 
 
 def nan_arm(engine: BatchEngine, action: Array) -> None:
@@ -435,17 +435,17 @@ def test_the_shape_of_an_action_is_checked(lift_scene: Scene) -> None:
 
 
 @pytest.mark.parametrize(
-    ("num_worlds", "threads", "text"),
+    ("num_envs", "threads", "text"),
     [
-        (0, 1, "num_worlds must be at least 1, not 0"),
+        (0, 1, "num_envs must be at least 1, not 0"),
         (2, 0, "threads must be at least 1, not 0"),
     ],
 )
 def test_an_engine_needs_worlds_and_threads(
-    num_worlds: int, threads: int, text: str, lift_scene: Scene
+    num_envs: int, threads: int, text: str, lift_scene: Scene
 ) -> None:
     with pytest.raises(UserError, match=text):
-        BatchEngine(lift_scene, num_worlds, threads)
+        BatchEngine(lift_scene, num_envs, threads)
 
 
 @pytest.mark.parametrize(
@@ -525,6 +525,6 @@ def in_python(code: str, **environment: str) -> list[str]:
 def test_importing_robosuite_leaves_the_gl_backend_open() -> None:
     lines = in_python(
         "import os; os.environ.pop('MUJOCO_GL', None);"
-        "import manip.sim.stock; print(os.environ.get('MUJOCO_GL'))"
+        "import manip.sim.robosuite_factory; print(os.environ.get('MUJOCO_GL'))"
     )
     assert lines[-1] == "None"

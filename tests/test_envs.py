@@ -12,14 +12,14 @@ from torch import Tensor
 from torchrl.envs.utils import check_env_specs
 from twin import copy_start
 
-from manip.envs.registry import load_task, task_names
+from manip.envs.adapters.torchrl import NativeEnv, StockEnv
 from manip.envs.task import Task
-from manip.envs.torchrl import NativeEnv, StockEnv
+from manip.envs.task_registry import load_task, task_names
 from manip.errors import UserError
 from manip.rewards.compose import weighted_sum
-from manip.sim.model import Scene
-from manip.sim.reader import stock_reader
-from manip.sim.stock import make_stock
+from manip.sim.robosuite_factory import make_stock
+from manip.sim.scene import Scene
+from manip.sim.stock_reader import stock_reader
 
 Array = np.ndarray
 
@@ -39,9 +39,9 @@ def tiny_scene(scene_of) -> Scene:
     return scene_of(Tiny())
 
 
-def actions(steps: int, num_worlds: int, seed: int = 0) -> Tensor:
+def actions(steps: int, num_envs: int, seed: int = 0) -> Tensor:
     """[steps, N, 7] that do not depend on N in the worlds they share."""
-    worlds = [np.random.default_rng([seed, world]) for world in range(num_worlds)]
+    worlds = [np.random.default_rng([seed, world]) for world in range(num_envs)]
     drawn = [rng.uniform(-1, 1, (steps, 7)).astype(np.float32) for rng in worlds]
     return torch.from_numpy(np.stack(drawn, axis=1))
 
@@ -64,8 +64,8 @@ def stacked(steps: list[TensorDictBase], *key: str) -> Tensor:
     return torch.stack([step[key] for step in steps])
 
 
-def native(task: Task, scene: Scene, num_worlds: int = 4, **options) -> NativeEnv:
-    return NativeEnv(task, num_worlds, scene=scene, **({"threads": 1} | options))
+def native(task: Task, scene: Scene, num_envs: int = 4, **options) -> NativeEnv:
+    return NativeEnv(task, num_envs, scene=scene, **({"threads": 1} | options))
 
 
 # TorchRL's contract
@@ -84,24 +84,24 @@ def test_keys_and_shapes_are_as_stated(where: str, task: Task, scene: Scene) -> 
     env = (
         native(task, scene) if where == "native" else StockEnv(task, stock=scene.stock)
     )
-    n = env.worlds.num_worlds
-    width = max(part.stop for part in env.worlds.layout.values())
+    n = env.batch.num_envs
+    width = max(part.stop for part in env.batch.layout.values())
     after = env.rollout(2)[:, -1]["next"]
     flag = (n, 1), torch.bool
     assert {name: (tuple(v.shape), v.dtype) for name, v in after.items()} == {
         "observation": ((n, width), torch.float32),
         "reward": ((n, 1), torch.float32),
-        "reward_terms": ((n, len(env.worlds.reward_names)), torch.float32),
+        "reward_terms": ((n, len(env.batch.reward_names)), torch.float32),
         "success": flag, "terminated": flag, "truncated": flag, "done": flag,
-        "stages": ((n, len(task.stages)), torch.bool),
+        "milestones": ((n, len(task.milestone_names)), torch.bool),
     }  # fmt: skip
 
 
 def test_the_layout_covers_the_observation(task: Task, scene: Scene) -> None:
     env = native(task, scene)
     observation = env.reset()["observation"].numpy()
-    parts = task.observe(task.measure(env.worlds.engine.read()))
-    layout = env.worlds.layout
+    parts = task.observe(task.measure(env.batch.engine.read()))
+    layout = env.batch.layout
     ends = [0, *(part.stop for part in layout.values())]
     assert [part.start for part in layout.values()] == ends[:-1]
     assert ends[-1] == observation.shape[1]
@@ -119,7 +119,7 @@ def test_the_reward_is_the_weighted_sum_of_its_terms(
     env = native(task, scene, reward=reward)
     after = env.rollout(5)["next"]
     weights = task.weights[reward]
-    assert env.worlds.reward_names == tuple(weights)
+    assert env.batch.reward_names == tuple(weights)
     terms = dict(zip(weights, after["reward_terms"].unbind(-1), strict=True))
     torch.testing.assert_close(weighted_sum(terms, weights), after["reward"][..., 0])
 
@@ -133,7 +133,7 @@ def test_unknown_reward_lists_the_rewards(lift: Task, lift_scene: Scene) -> None
 # Stock and native are one process
 
 SAME = ("observation", "reward", "reward_terms")
-EQUAL = ("stages", "success", "terminated", "truncated", "done")
+EQUAL = ("milestones", "success", "terminated", "truncated", "done")
 
 
 @pytest.mark.parametrize("reward", ["shaped", "stock"])
@@ -142,7 +142,7 @@ def test_native_says_what_stock_says(reward: str, task: Task, scene: Scene) -> N
     ours = native(task, scene, 2, reward=reward)
     begin_the_same(ours, theirs)
     for move in actions(10, 1):
-        step_the_same(ours, theirs, move[:, : ours.worlds.action_dim])
+        step_the_same(ours, theirs, move[:, : ours.batch.action_dim])
 
 
 @pytest.mark.parametrize("name", ["Door", "Lift", "Reach"])
@@ -153,8 +153,8 @@ def test_native_says_what_stock_says_until_success(name: str, scene_of) -> None:
     ours = native(task, scene_of(task), 2)
     begin_the_same(ours, theirs)
     for _ in range(task.horizon):
-        read = {k: v[:1] for k, v in ours.worlds.engine.read().items()}
-        move = task.script(task.measure(read)).astype(np.float32)
+        read = {k: v[:1] for k, v in ours.batch.engine.read().items()}
+        move = task.expert(task.measure(read)).astype(np.float32)
         if step_the_same(ours, theirs, torch.from_numpy(move))["success"].all():
             return
     pytest.fail("the script did not succeed")
@@ -163,8 +163,8 @@ def test_native_says_what_stock_says_until_success(name: str, scene_of) -> None:
 def begin_the_same(ours: NativeEnv, theirs: StockEnv) -> None:
     ours.reset()
     state = theirs.reset()
-    copy_start(ours.worlds.task, ours.worlds.engine, range(2))
-    assert_say_the_same(ours.look(), state, ("observation", "reward_terms"))
+    copy_start(ours.batch.task, ours.batch.engine, range(2))
+    assert_say_the_same(ours.observe(), state, ("observation", "reward_terms"))
 
 
 def step_the_same(ours: NativeEnv, theirs: StockEnv, move: Tensor) -> TensorDictBase:
@@ -207,7 +207,7 @@ def test_a_time_limit_is_truncated_in_stock(lift: Task, lift_scene: Scene) -> No
 
 
 def test_the_default_horizon_is_the_tasks(lift: Task, lift_scene: Scene) -> None:
-    assert native(lift, lift_scene).worlds.horizon == lift.horizon
+    assert native(lift, lift_scene).batch.horizon == lift.horizon
 
 
 def test_a_failure_is_terminated(tiny_scene: Scene) -> None:
@@ -247,7 +247,7 @@ def test_the_last_observation_stored_is_the_true_one(task: Task, scene: Scene) -
     moves = actions(6, 3)
     short = run(native(task, scene, 3, horizon=6), moves)
     long = run(native(task, scene, 3, horizon=99), moves)
-    for name in "observation", "reward", "success", "stages", "reward_terms":
+    for name in "observation", "reward", "success", "milestones", "reward_terms":
         ours, theirs = stacked(short, "next", name), stacked(long, "next", name)
         assert torch.equal(ours, theirs), name
     restarted = short[-1]["after", "observation"]
@@ -267,19 +267,19 @@ def test_only_ended_worlds_start_again(tiny_scene: Scene) -> None:
     moves = torch.zeros(4, 3, 7)
     moves[:, 1, -1] = -1
     run(env, moves)
-    assert env.worlds.episode.tolist() == [0, 1, 0]
-    assert env.worlds.elapsed.tolist() == [4, 1, 4]
+    assert env.batch.episode.tolist() == [0, 1, 0]
+    assert env.batch.elapsed.tolist() == [4, 1, 4]
 
 
 def test_resetting_no_world_changes_nothing(lift: Task, lift_scene: Scene) -> None:
     env = native(lift, lift_scene, 2)
     run(env, actions(2, 2))
-    before = env.worlds.engine.save()
+    before = env.batch.engine.save()
     nobody = torch.zeros(2, 1, dtype=torch.bool)
     env.reset(TensorDict({"_reset": nobody}, [2]))
-    np.testing.assert_array_equal(env.worlds.engine.states, before.states)
-    np.testing.assert_array_equal(env.worlds.engine.save().readings, before.readings)
-    assert env.worlds.elapsed.tolist() == [2, 2]
+    np.testing.assert_array_equal(env.batch.engine.states, before.states)
+    np.testing.assert_array_equal(env.batch.engine.save().readings, before.readings)
+    assert env.batch.elapsed.tolist() == [2, 2]
 
 
 # Staggered starts
@@ -304,8 +304,8 @@ def test_staggered_worlds_end_at_different_times(tiny_scene: Scene) -> None:
 def test_staggering_moves_only_the_clock(task: Task, scene: Scene) -> None:
     plain, late = (native(task, scene, stagger=on) for on in (False, True))
     assert torch.equal(plain.reset()["observation"], late.reset()["observation"])
-    assert (plain.worlds.elapsed == 0).all()
-    assert (late.worlds.elapsed > 0).any()
+    assert (plain.batch.elapsed == 0).all()
+    assert (late.batch.elapsed > 0).any()
 
 
 def test_unstaggered_worlds_end_together(tiny_scene: Scene) -> None:
@@ -366,24 +366,24 @@ def test_restart_begins_the_first_episode_again(task: Task, scene: Scene) -> Non
     env = native(task, scene, 2)
     first = env.reset()["observation"]
     assert not torch.isclose(env.reset()["observation"], first).all()
-    env.worlds.restart()
+    env.batch.restart()
     assert torch.equal(env.reset()["observation"], first)
 
 
 def test_a_saved_environment_goes_on_where_it_was(task: Task, scene: Scene) -> None:
     env, moves = native(task, scene, 3, horizon=4, seed=3), actions(9, 3)
     first = observed(env, moves[:6])
-    saved = env.worlds.save_state()
+    saved = env.batch.save_state()
     rest = observed_from(env, moves[6:])
     other = native(task, scene, 3, horizon=4, seed=3)
     other.reset()
-    other.worlds.load_state(saved)
-    assert torch.equal(other.look()["observation"], first[-1])
+    other.batch.load_state(saved)
+    assert torch.equal(other.observe()["observation"], first[-1])
     assert torch.equal(observed_from(other, moves[6:]), rest)
 
 
 def observed_from(env: NativeEnv, moves: Tensor) -> Tensor:
-    state, found = env.look(), []
+    state, found = env.observe(), []
     for move in moves:
         state["action"] = move[:, : env.action_spec.shape[-1]]
         _, state = env.step_and_maybe_reset(state)
@@ -391,7 +391,7 @@ def observed_from(env: NativeEnv, moves: Tensor) -> Tensor:
     return torch.stack(found)
 
 
-# Worlds that break
+# TaskBatch that break
 
 
 @pytest.mark.parametrize("part", [2, -1])
@@ -399,7 +399,7 @@ def test_a_broken_world_is_cut_off_and_starts_again(
     part: int, task: Task, scene: Scene
 ) -> None:
     ill, well = (native(task, scene, 3) for _ in range(2))
-    moves = actions(4, 3)[..., : scene.handles.action_dim]
+    moves = actions(4, 3)[..., : scene.layout.action_dim]
     healthy = run(well, moves)
     moves = moves.clone()
     moves[2, 1, part] = torch.nan
@@ -414,9 +414,9 @@ def test_a_broken_world_is_cut_off_and_starts_again(
         expected = stacked(healthy, "next", key)
         assert torch.equal(found[:, [0, 2]], expected[:, [0, 2]])
     assert torch.equal(steps[2]["next", "observation"][1], steps[2]["observation"][1])
-    assert ill.worlds.episode.tolist() == [0, 1, 0]
-    assert ill.worlds.elapsed.tolist() == [4, 1, 4]
-    assert ill.worlds.engine.broken_count == 1
+    assert ill.batch.episode.tolist() == [0, 1, 0]
+    assert ill.batch.elapsed.tolist() == [4, 1, 4]
+    assert ill.batch.engine.broken_count == 1
 
 
 def test_a_nan_action_is_cut_off_in_stock(lift: Task, lift_scene: Scene) -> None:
@@ -436,7 +436,7 @@ def test_a_hard_reset_is_read_from_its_new_simulation(lift: Task) -> None:
     for _ in range(2):
         observation = env.reset()["observation"][0]
         expected = stock_reader(stock, lift.sensors)()["cube_pos"][0]
-        shown = observation[env.worlds.layout["cube_pos"]].numpy()
+        shown = observation[env.batch.layout["cube_pos"]].numpy()
         np.testing.assert_allclose(shown / 4 + [0, 0, 0.8], expected, atol=1e-6)
         sizes.add(float(stock.sim.model._model.geom("cube_g0").size[2]))
     assert len(sizes) == 2
@@ -464,14 +464,14 @@ def test_a_task_of_ones_own_is_found_by_its_path() -> None:
     ("path", "text"),
     [
         ("no_such_package.module:Lift", "cannot import task .*no_such_package"),
-        ("tasks.lift:Lfit", "cannot import task 'tasks.lift:Lfit': .*'Lfit'"),
+        ("manip.tasks.lift:Lfit", "cannot import task 'tasks.lift:Lfit': .*'Lfit'"),
         (":Lift", "cannot import task ':Lift'"),
         (
             "pathlib:Path",
             "task 'pathlib:Path' must be a subclass of .*Task, not .*Path",
         ),
         (
-            "manip.envs.registry:GROUP",
+            "manip.envs.task_registry:GROUP",
             "must be a subclass of .*Task, not 'manip.tasks'",
         ),
     ],

@@ -17,31 +17,31 @@ from manip.evaluation.episodes import (
 from manip.evaluation.report import summarise
 
 
-def step(success: Sequence[bool], done: Sequence[bool], stages=None) -> TensorDict:
+def step(success: Sequence[bool], done: Sequence[bool], milestones=None) -> TensorDict:
     """The `next` entry of worlds that pay 0.5."""
     worlds = len(success)
-    if stages is None:
-        stages = [[flag, False] for flag in success]
+    if milestones is None:
+        milestones = [[flag, False] for flag in success]
     entries = {
         "success": torch.tensor(success).unsqueeze(-1),
         "done": torch.tensor(done).unsqueeze(-1),
         "reward": torch.full((worlds, 1), 0.5),
-        "stages": torch.tensor(stages),
+        "milestones": torch.tensor(milestones),
     }
     return TensorDict(entries, worlds)
 
 
-def played(script: str) -> Episode:
+def played(flags: str) -> Episode:
     """One world's episode: a character a step, `x` success and `.` none."""
-    tracker, last = EpisodeTracker(1), len(script) - 1
-    for index, sign in enumerate(script):
+    tracker, last = EpisodeTracker(1), len(flags) - 1
+    for index, sign in enumerate(flags):
         ended = tracker.update(step([sign == "x"], [index == last]))
         assert bool(ended) == (index == last)
     return ended[0]
 
 
 @pytest.mark.parametrize(
-    ("script", "once", "at_end", "held", "first"),
+    ("flags", "once", "at_end", "held", "first"),
     [
         ("." * 12, False, False, False, None),
         ("." * 11 + "x", True, True, False, 12),
@@ -54,20 +54,25 @@ def played(script: str) -> Episode:
         ("x" * (HELD_STEPS - 1), True, True, False, 1),
     ],
 )
-def test_success_once_at_end_and_held(script, once, at_end, held, first) -> None:
-    episode = played(script)
-    assert (episode.once, episode.at_end, episode.held) == (once, at_end, held)
+def test_success_once_at_end_and_held(flags, once, at_end, held, first) -> None:
+    episode = played(flags)
+    assert episode.success_once == once
+    assert episode.success_at_end == at_end
+    assert episode.success_held == held
     assert episode.first_success == first
-    assert episode.steps == len(script)
-    assert episode.total_reward == 0.5 * len(script)
+    assert episode.steps == len(flags)
+    assert episode.total_reward == 0.5 * len(flags)
 
 
-def test_stages_are_those_ever_reached() -> None:
+def test_stages_are_those_ever_milestones() -> None:
     tracker = EpisodeTracker(2)
-    for stages in ([[True, False], [False, False]], [[False, False], [False, True]]):
-        assert not tracker.update(step([False] * 2, [False] * 2, stages))
+    for milestones in (
+        [[True, False], [False, False]],
+        [[False, False], [False, True]],
+    ):
+        assert not tracker.update(step([False] * 2, [False] * 2, milestones))
     final = step([False] * 2, [True] * 2, [[False, False], [False, True]])
-    reached = [episode.stages for episode in tracker.update(final)]
+    reached = [episode.milestones for episode in tracker.update(final)]
     assert reached == [(True, False), (False, True)]
 
 
@@ -89,7 +94,7 @@ def test_a_tracker_that_is_saved_goes_on_as_it_was() -> None:
     other.load_state(tracker.save_state())
     tracker.update(step([False], [True]))
     (episode,) = other.update(step([True], [True]))
-    assert episode.held
+    assert episode.success_held
     assert (episode.steps, episode.first_success) == (HELD_STEPS, 1)
 
 
@@ -127,7 +132,11 @@ def test_the_policy_decides_and_the_watcher_sees_each_state_before_a_step() -> N
     )
     assert seen == pytest.approx([0.8, 0.6, 0.4, 0.2], abs=1e-6)
     assert episode.total_reward == pytest.approx(0.4 + 0.6 + 0.8 + 1.0)
-    assert (episode.at_end, episode.first_success, episode.stages) == (True, 4, (True,))
+    assert (episode.success_at_end, episode.first_success, episode.milestones) == (
+        True,
+        4,
+        (True,),
+    )
 
 
 def test_summary_gives_rates_means_and_the_median_of_first_successes() -> None:
@@ -139,8 +148,8 @@ def test_summary_gives_rates_means_and_the_median_of_first_successes() -> None:
     ]
     found = summarise(episodes, ("near", "there"))
     rates = {kind: rate.rate for kind, rate in found["success"].items()}
-    assert rates == {"once": 0.5, "at_end": 0.25, "held": 0.25}
+    assert rates == {"success_once": 0.5, "success_at_end": 0.25, "success_held": 0.25}
     assert found["return_mean"] == 3.0
-    assert found["stages"] == {"near": 0.75, "there": 0.25}
+    assert found["milestones"] == {"near": 0.75, "there": 0.25}
     assert found["first_success_median"] == 5.0
     assert summarise(episodes[2:], ("near", "there"))["first_success_median"] is None

@@ -12,21 +12,21 @@ from toy import SPACES, Points, make_agent
 from manip.agents.a2c import A2CConfig
 from manip.agents.a3c import A3CConfig
 from manip.agents.bc import BCConfig
-from manip.envs.native import DUMP_FORMAT, MOST_DUMPS, NativeWorlds
+from manip.envs.backends.native_batch import DUMP_FORMAT, MOST_DUMPS, NativeBatch
 from manip.envs.task import Task
-from manip.envs.worlds import Moment
+from manip.envs.task_batch import TimeStep
 from manip.errors import UserError
+from manip.io.tensor_trees import load_tree, save_tree
 from manip.programs import cli, replay
-from manip.sim.model import Scene
+from manip.sim.scene import Scene
 from manip.training.build import AGENTS
-from manip.training.guard import Guard
-from manip.training.rollout import Rollout
-from manip.trees import load_tree, save_tree
+from manip.training.collector import Rollout
+from manip.training.nan_guard import NanGuard
 
 Array = np.ndarray
 
 N, SICK, WHEN = 64, 17, 2
-"""Worlds; the one that falls ill; the step in which it does, counted from 0."""
+"""TaskBatch; the one that falls ill; the step in which it does, counted from 0."""
 
 
 def ill(m) -> Array:
@@ -55,10 +55,10 @@ def scene(scene_of) -> Scene:
     return scene_of(Tiny())
 
 
-def played(worlds: NativeWorlds, sick: str = "") -> list[Moment]:
+def played(worlds: NativeBatch, sick: str = "") -> list[TimeStep]:
     """Five steps; in the third, something happens to one world if it is to be sick."""
-    worlds.begin(np.arange(worlds.num_worlds))
-    actions = np.random.default_rng(0).uniform(0.1, 1, (5, worlds.num_worlds, 7))
+    worlds.begin(np.arange(worlds.num_envs))
+    actions = np.random.default_rng(0).uniform(0.1, 1, (5, worlds.num_envs, 7))
     moments = []
     for number, action in enumerate(actions):
         if sick and number == WHEN:
@@ -85,15 +85,15 @@ CASES = [
 def test_one_sick_world_of_many_is_named_and_costs_its_episode_only(
     part: str, task: type[Task], what: str, scene: Scene, tmp_path: Path, capsys
 ) -> None:
-    worlds = NativeWorlds(task(), N, scene=scene, dumps=tmp_path)
-    healthy = played(NativeWorlds(task(), N, scene=scene))
+    worlds = NativeBatch(task(), N, scene=scene, dumps=tmp_path)
+    healthy = played(NativeBatch(task(), N, scene=scene))
     moments = played(worlds, part)
     (fault,) = worlds.faults
     assert fault == (task.__name__, what, SICK, 0, WHEN + 1)
     others = np.arange(N) != SICK
-    for moment, well in zip(moments, healthy, strict=True):
+    for time_step, well in zip(moments, healthy, strict=True):
         for name in ("observation", "reward", "success", "terminated", "truncated"):
-            found, expected = (getattr(m, name) for m in (moment, well))
+            found, expected = (getattr(m, name) for m in (time_step, well))
             np.testing.assert_array_equal(found[others], expected[others])
             assert np.isfinite(found).all(), name
     assert moments[WHEN].truncated.tolist() == [world == SICK for world in range(N)]
@@ -106,7 +106,7 @@ def test_one_sick_world_of_many_is_named_and_costs_its_episode_only(
 
 
 def test_a_replay_is_the_same_step(scene: Scene, tmp_path: Path, capsys) -> None:
-    worlds = NativeWorlds(Tiny(), 3, scene=scene, dumps=tmp_path)
+    worlds = NativeBatch(Tiny(), 3, scene=scene, dumps=tmp_path)
     worlds.begin(np.arange(3))
     worlds.step(np.full((3, 7), 0.4))
     before = worlds.engine.save()
@@ -115,14 +115,14 @@ def test_a_replay_is_the_same_step(scene: Scene, tmp_path: Path, capsys) -> None
     worlds.step(action)
     (dump,) = tmp_path.iterdir()
     kept = load_tree(dump)
-    kept["rig"] |= {"dumps": str(tmp_path / "elsewhere"), "num_worlds": 9}
+    kept["rig"] |= {"dumps": str(tmp_path / "elsewhere"), "num_envs": 9}
     again = replay._world(kept)
     np.testing.assert_array_equal(again.engine.states, before.states[[1]])
     np.testing.assert_array_equal(again.engine.save().readings, before.readings[[1]])
 
 
 def test_a_fault_can_end_the_run_and_says_how_to_see_it_again(scene, tmp_path) -> None:
-    worlds = NativeWorlds(IllPaid(), N, scene=scene, dumps=tmp_path)
+    worlds = NativeBatch(IllPaid(), N, scene=scene, dumps=tmp_path)
     worlds.stop_at_faults = True
     told = (
         f"IllPaid: reward term 'closing' of world {SICK} is not finite in step 3 of its"
@@ -132,7 +132,7 @@ def test_a_fault_can_end_the_run_and_says_how_to_see_it_again(scene, tmp_path) -
 
 
 def test_a_run_keeps_a_bounded_number_of_faults(scene: Scene, tmp_path: Path) -> None:
-    worlds = NativeWorlds(Tiny(), N, scene=scene, dumps=tmp_path)
+    worlds = NativeBatch(Tiny(), N, scene=scene, dumps=tmp_path)
     worlds.begin(np.arange(N))
     worlds.step(np.full((N, 7), np.nan))
     assert len(worlds.faults) == N
@@ -159,7 +159,7 @@ def test_every_algorithm_is_looked_at() -> None:
 @pytest.mark.parametrize("config", QUICK.values(), ids=QUICK)
 def test_a_gradient_that_is_not_finite_is_named_and_changes_no_weight(config) -> None:
     agent, other = make_agent(config, seed=0), make_agent(config, seed=0)
-    guard = Guard(agent.optimisers(), stop=False)
+    guard = NanGuard(agent.optimisers(), stop=False)
     batch = Rollout(Points([20] * 32)).collect(agent.policy(), 20).batch
     agent.update(batch.clone())
     batch["next", "reward"][:] = torch.nan
@@ -168,7 +168,7 @@ def test_a_gradient_that_is_not_finite_is_named_and_changes_no_weight(config) ->
     assert any("loss" in what for what in guard.lost)
     for module in agent.modules().values():
         assert all(tensor.isfinite().all() for tensor in module.state_dict().values())
-    Guard(other.optimisers(), stop=True)
+    NanGuard(other.optimisers(), stop=True)
     with pytest.raises(UserError, match=r"gradient of the optimiser .* is not finite"):
         other.update(batch)
 
@@ -176,7 +176,7 @@ def test_a_gradient_that_is_not_finite_is_named_and_changes_no_weight(config) ->
 def test_finite_gradients_are_left_alone() -> None:
     weight = torch.nn.Parameter(torch.ones(SPACES.action_dim))
     optimiser = torch.optim.SGD([weight], 0.5)
-    guard = Guard({"all": optimiser}, stop=True)
+    guard = NanGuard({"all": optimiser}, stop=True)
     weight.grad = torch.ones(1)
     optimiser.step()
     assert weight.item() == 0.5

@@ -11,8 +11,8 @@ from safetensors.torch import load_file
 from sameness import assert_same
 
 from manip.errors import DamagedError, UserError
-from manip.files import remove_partial, replace_file, write_text
-from manip.trees import load_tree, save_tree
+from manip.io.atomic_files import remove_partial, replace_file, write_text
+from manip.io.tensor_trees import load_tree, save_tree
 
 TREE = {
     "tensors": {"a": torch.arange(6.0).reshape(2, 3), "b": torch.tensor(True)},

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from manip.envs.registry import load_task
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Task
+from manip.envs.task_registry import load_task
 from manip.rewards.compose import weighted_sum
-from manip.sim.model import Scene
-from tasks.pick_goal import PickGoal
-from tasks.push import Push
+from manip.sim.scene import Scene
+from manip.tasks.pick_goal import PickGoal
+from manip.tasks.push import Push
 
 Array = np.ndarray
 

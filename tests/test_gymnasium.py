@@ -14,10 +14,11 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
-from manip.envs import native, stock
-from manip.envs.gymnasium import TaskEnv, TaskVectorEnv
-from manip.envs.native import NativeWorlds
-from manip.envs.registry import load_task, task_names
+from manip.envs.adapters.gymnasium import TaskEnv, TaskVectorEnv
+from manip.envs.backends import native_batch as native
+from manip.envs.backends import stock_batch as stock
+from manip.envs.backends.native_batch import NativeBatch
+from manip.envs.task_registry import load_task, task_names
 from manip.errors import UserError
 from manip.sim import gl
 
@@ -80,7 +81,7 @@ def test_ids_make_the_batch_and_the_single_environment(name: str) -> None:
     one = gymnasium.make(f"manip/{name}-v0")
     assert isinstance(many, TaskVectorEnv)
     assert isinstance(one.unwrapped, TaskEnv)
-    assert one.spec.max_episode_steps == many.worlds.horizon == load_task(name).horizon
+    assert one.spec.max_episode_steps == many.batch.horizon == load_task(name).horizon
     assert many.single_observation_space == one.observation_space
     assert many.single_action_space == one.action_space
     assert many.observation_space.shape == (3, *one.observation_space.shape)
@@ -90,8 +91,8 @@ def test_ids_make_the_batch_and_the_single_environment(name: str) -> None:
 
 def test_options_reach_the_worlds() -> None:
     envs = gymnasium.make_vec("manip/Reach-v0", num_envs=2, reward="stock", threads=1)
-    assert envs.worlds.reward_set == "stock"
-    assert envs.worlds.engine.threads == 1
+    assert envs.batch.reward_set == "stock"
+    assert envs.batch.engine.threads == 1
 
 
 def test_mistakes_are_told() -> None:
@@ -106,7 +107,9 @@ def test_mistakes_are_told() -> None:
 
 
 def test_whoever_steps_worlds_loads_no_torch() -> None:
-    code = "import sys, manip.envs.gymnasium; assert 'torch' not in sys.modules"
+    code = (
+        "import sys, manip.envs.adapters.gymnasium; assert 'torch' not in sys.modules"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
@@ -161,16 +164,18 @@ def world_0(part):
 
 
 def test_a_batch_repeats_the_worlds_under_it(reaches: Make) -> None:
-    worlds = NativeWorlds(load_task("Reach"), 2, horizon=4, seed=5)
+    worlds = NativeBatch(load_task("Reach"), 2, horizon=4, seed=5)
     (first, _), *steps = play(reaches(num_envs=2), actions(3, 2))
     worlds.begin(np.arange(2))
-    np.testing.assert_array_equal(first, worlds.look().observation)
+    np.testing.assert_array_equal(first, worlds.observe().observation)
     for move, (observation, reward, *_, info) in zip(actions(3, 2), steps, strict=True):
-        moment = worlds.step(move)
-        np.testing.assert_array_equal(observation, moment.observation)
-        np.testing.assert_array_equal(reward, moment.reward)
-        np.testing.assert_array_equal(info["success"], moment.success)
-        np.testing.assert_array_equal(info["stages"]["near"], moment.stages["near"])
+        time_step = worlds.step(move)
+        np.testing.assert_array_equal(observation, time_step.observation)
+        np.testing.assert_array_equal(reward, time_step.reward)
+        np.testing.assert_array_equal(info["success"], time_step.success)
+        np.testing.assert_array_equal(
+            info["milestones"]["near"], time_step.milestones["near"]
+        )
 
 
 # Ends of episodes

@@ -11,13 +11,12 @@ ROOT = Path(__file__).parent.parent
 
 TOWER = (
     {"errors"},
-    {"compiled", "cpus", "files", "plain", "versions"},
-    {"sealed"},
-    {"trees"},
+    {"compiled", "cpus", "versions"},
+    {"io"},
     {"rewards"},
     {"sim"},
     {"envs"},
-    {"agents", "evaluation"},
+    {"agents", "evaluation", "tasks"},
     {"training"},
     {"benchmarks", "studies"},
     {"programs"},
@@ -31,13 +30,13 @@ HOME = {
     "mujoco": ("manip/sim",),
     "numba": ("manip/sim", "manip/compiled.py"),
     "llvmlite": ("manip/sim",),
-    "robosuite": ("manip/sim/stock.py", "tasks/scenes"),
-    "dm_control": ("manip/sim/dm_control_world.py",),
+    "robosuite": ("manip/sim/robosuite_factory.py", "tasks/scenes"),
+    "dm_control": ("manip/sim/external/dm_control_sim.py",),
     "tyro": ("manip/programs",),
     "envpool": ("manip/benchmarks",),
-    "dm_env": ("manip/envs/dm_env.py",),
-    "gymnasium": ("manip/envs/gymnasium.py", "manip/envs/sb3.py", "manip/benchmarks"),
-    "stable_baselines3": ("manip/envs/sb3.py", "manip/benchmarks"),
+    "dm_env": ("manip/envs/adapters/dm_env.py",),
+    "gymnasium": ("manip/envs/adapters", "manip/benchmarks"),
+    "stable_baselines3": ("manip/envs/adapters/sb3.py", "manip/benchmarks"),
 }
 """Library -> the only places that import it."""
 
@@ -49,6 +48,8 @@ def sources(*folders: str) -> Iterator[Path]:
 
 def module_of(path: Path) -> str:
     parts = path.relative_to(ROOT).with_suffix("").parts
+    if parts[0] == "tasks":  # installed inside manip, by a link
+        parts = ("manip", *parts)
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
@@ -73,7 +74,7 @@ GRAPH = {name: imports(path) for name, path in MODULES.items()}
 
 
 def room(module: str) -> str:
-    """manip.sim.engine -> sim; tasks.lift -> tasks; the bare package -> manip."""
+    """manip.sim.batch_engine -> sim; tasks.lift -> tasks; the bare package -> manip."""
     parts = module.split(".")
     return parts[1] if parts[0] == "manip" and len(parts) > 1 else parts[0]
 

@@ -8,8 +8,9 @@ from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
 from manip.agents.networks import mlp
-from manip.benchmarks import arithmetic, learner, learner_ours, learner_torchrl
-from manip.benchmarks.learner import PPO, SAC, figures, operations
+from manip.benchmarks import arithmetic, learner_ours, learner_torchrl
+from manip.benchmarks import bench_learner as learner
+from manip.benchmarks.bench_learner import PPO, SAC, figures, operations
 from manip.benchmarks.problem import Problem, transitions
 
 TINY = Problem(

@@ -18,15 +18,15 @@ from test_policy import make_policy
 from toy import QUICK_SAC, make_agent
 
 from manip.agents.policy import WEIGHTS, load_policy
+from manip.envs.backends.native_batch import DUMP_FORMAT
 from manip.envs.faults import Fault
-from manip.envs.native import DUMP_FORMAT
 from manip.errors import DamagedError
+from manip.io.tensor_trees import save_tree
 from manip.programs import cli, evaluate, render, replay, train
 from manip.training.checkpoint import FORMAT, Checkpoints
-from manip.trees import save_tree
 
 RUN = """
-    --task Reach --algo ppo --num-worlds 4 --horizon 20 --steps 64 --threads 1
+    --task Reach --algo ppo --num-envs 4 --horizon 20 --steps 64 --threads 1
     --eval-every 64 --eval-episodes 1 --agent.rollout-length 8
     --agent.actor-hidden 8 --agent.critic-hidden 8
 """
@@ -37,7 +37,7 @@ class Stored:
 
     def __init__(self, path: Path, load: Callable[[], object]) -> None:
         self.path, self.load = path, load
-        self.whole, self.held = path.read_bytes(), load()
+        self.whole, self.success_held = path.read_bytes(), load()
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def assert_refused_unless_whole(file: Stored, damage: Callable[[bytes], bytes]) 
     damaged = damage(file.whole)
     file.path.write_bytes(damaged)
     if damaged == file.whole:
-        assert_same(file.load(), file.held)
+        assert_same(file.load(), file.success_held)
         return
     with pytest.raises(DamagedError, match=str(file.path)) as refused:
         file.load()

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.rewards.compose import weighted_sum
-from tasks.nut_assembly import NutAssembly, NutAssemblyRound, NutAssemblySquare
+from manip.tasks.nut_assembly import NutAssembly, NutAssemblyRound, NutAssemblySquare
 
 PEG = np.array([0.23, 0.1, 0.85])
 HANDLE = np.array([0.054, 0.0, 0.0])
@@ -13,7 +13,7 @@ DOWNWARDS = np.array([0.0, 1, 0, 1, 0, 0, 0, 0, -1])
 """A tool that points down, its fingers closing along y."""
 
 
-def stages(task: NutAssembly) -> dict[str, np.ndarray]:
+def milestones(task: NutAssembly) -> dict[str, np.ndarray]:
     """Far, near, grasped, half up, above, at the top, held on the peg, opened, in."""
     heights = [0.83, 0.83, 0.83, 0.90, 0.97, 0.96, 0.94, 0.94, 0.83]
     nut = np.tile(PEG, (9, 1)) - np.outer([0.3] * 4 + [0] * 5, [1, 0, 0])
@@ -37,7 +37,7 @@ def stages(task: NutAssembly) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("cls", [NutAssemblyRound, NutAssemblySquare])
 def test_it_pays_as_its_docstring_says_and_more_each_stage(cls) -> None:
     task, tanh = cls(), np.tanh
-    m = stages(task)
+    m = milestones(task)
     shaped = weighted_sum(task.reward_terms(m, "shaped"), task.weights["shaped"])
     beside = 0.6 * (1 - 0.3 / 0.5) + 0.4 * (1 - tanh(10))
     half_up = 0.3 + 0.75 * (0.15 + 0.25 * beside)
@@ -46,14 +46,14 @@ def test_it_pays_as_its_docstring_says_and_more_each_stage(cls) -> None:
     np.testing.assert_allclose(shaped, low + top)
     assert (np.diff(shaped) > 0).all()
     assert task.success(m).tolist() == [False] * 8 + [True]
-    reached = task.reached(m)
-    counts = np.sum([reached[name] for name in task.stages], axis=0)
+    reached = task.milestones(m)
+    counts = np.sum([reached[name] for name in task.milestone_names], axis=0)
     assert counts.tolist() == [0, 1, 2, 3, 4, 4, 4, 4, 3]
 
 
 def test_the_stock_reward_counts_from_the_higher_nut() -> None:
     task = NutAssemblySquare()
-    m = stages(task)
+    m = milestones(task)
     tanh, far = np.tanh, 0.2 * (1 - np.tanh(3))
     lift = [0.35 + 0.15 * (1 - tanh(15 * (0.995 - z))) for z in (0.83, 0.9, 0.97)]
     first = [max(0.1 * (1 - tanh(2)), far), 0.1, lift[0] + far, lift[1] + far]
@@ -71,7 +71,7 @@ def test_a_square_nut_that_is_turned_earns_less_above_its_peg() -> None:
     paid = {}
     for cls in NutAssemblyRound, NutAssemblySquare:
         task = cls()
-        m = stages(task)
+        m = milestones(task)
         quat = np.tile([np.cos(turned / 2), 0, 0, np.sin(turned / 2)], (9, 1))
         terms = task.reward_terms(task.measure({**m, "nut_quat": quat}), "shaped")
         paid[cls] = terms["over"][4]

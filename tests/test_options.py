@@ -17,14 +17,14 @@ from manip.programs import cli, evaluate, render, replay, train
 from manip.programs.evaluate import Evaluate
 from manip.training.build import AGENTS
 from manip.training.config import ALGORITHMS, TrainConfig, from_dict, to_dict
-from manip.training.limits import RANGES
+from manip.training.option_ranges import RANGES
 
 SPACES = Spaces(observation_dim=5, action_dim=7)
 
 DATACLASSES = [TrainConfig, *ALGORITHMS.values()]
 
 SMALL = {
-    *("steps", "num_worlds", "horizon", "eval_every", "eval_episodes", "threads"),
+    *("steps", "num_envs", "horizon", "eval_every", "eval_episodes", "threads"),
     *("n_step", "batch_size", "buffer_size", "actor_delay", "critics", "workers"),
     *("rollout_length", "epochs", "minibatches", "noise_steps", "bins"),
     *("actor_hidden", "critic_hidden"),

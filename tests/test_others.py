@@ -9,44 +9,49 @@ import pytest
 from torchrl.envs.utils import check_env_specs
 
 from manip.agents.policy import load_policy
-from manip.envs.crew import Crew
-from manip.envs.others import OtherWorlds, load_other, other_names
-from manip.envs.torchrl import TaskEnv
-from manip.evaluation import evaluate as evaluation
+from manip.envs.adapters.torchrl import TaskEnv
+from manip.envs.backends.external_batch import (
+    ExternalBatch,
+    external_names,
+    load_external,
+)
+from manip.envs.backends.worker_pool import WorkerPool
+from manip.evaluation import runners as evaluation
 from manip.programs import cli, main
-from manip.sim.dm_control_world import RIG, SOLVED, composer, manipulation
-from manip.sim.stock import Rig, make_stock, reseed
+from manip.sim.external.dm_control_sim import RIG, SOLVED, composer, manipulation
+from manip.sim.robosuite_factory import make_stock, reseed
+from manip.sim.robot_config import RobotConfig
 from manip.training.config import recipe
-from manip.training.logs import read_metrics
+from manip.training.run_logs import read_metrics
 
 Array = np.ndarray
 
 DM, ROBOSUITE = "dm_control/reach_site_features", "robosuite/TwoArmPegInHole"
 
 
-def opened(name: str, num_worlds: int = 2, **options: Any) -> OtherWorlds:
-    rig = RIG if name.startswith("dm_control") else Rig()
+def opened(name: str, num_envs: int = 2, **options: Any) -> ExternalBatch:
+    rig = RIG if name.startswith("dm_control") else RobotConfig()
     options = {"threads": 1, "horizon": 6} | rig._asdict() | options
-    return OtherWorlds(load_other(name), num_worlds, **options)
+    return ExternalBatch(load_external(name), num_envs, **options)
 
 
 @pytest.fixture(scope="module", params=[DM, ROBOSUITE])
-def worlds(request) -> OtherWorlds:
+def worlds(request) -> ExternalBatch:
     return opened(request.param)
 
 
-def actions(worlds: OtherWorlds, steps: int) -> Array:
-    shape = steps, worlds.num_worlds, worlds.action_dim
+def actions(worlds: ExternalBatch, steps: int) -> Array:
+    shape = steps, worlds.num_envs, worlds.action_dim
     return np.random.default_rng(0).uniform(-1, 1, shape).astype(np.float32)
 
 
-def begun(worlds: OtherWorlds, seed: int) -> OtherWorlds:
+def begun(worlds: ExternalBatch, seed: int) -> ExternalBatch:
     worlds.restart(seed)
-    worlds.begin(np.arange(worlds.num_worlds))
+    worlds.begin(np.arange(worlds.num_envs))
     return worlds
 
 
-def observed(worlds: OtherWorlds, moves: Array) -> Array:
+def observed(worlds: ExternalBatch, moves: Array) -> Array:
     return np.array([worlds.step(move).observation for move in moves])
 
 
@@ -60,14 +65,17 @@ def test_dm_controls_world_is_dm_controls() -> None:
     shown, spec = env.reset().observation, env.action_spec()
     assert worlds.layout.keys() == shown.keys()
     for move in actions(worlds, 5):
-        step, moment = env.step(move[0].astype(float) * spec.maximum), worlds.step(move)
+        step, time_step = (
+            env.step(move[0].astype(float) * spec.maximum),
+            worlds.step(move),
+        )
         for name, part in worlds.layout.items():
             expected = step.observation[name].ravel().astype(np.float32)
             np.testing.assert_allclose(
-                moment.observation[0, part], expected, rtol=1e-4, atol=1e-6
+                time_step.observation[0, part], expected, rtol=1e-4, atol=1e-6
             )
-        assert moment.reward == pytest.approx(step.reward)
-        assert moment.success == (step.reward >= SOLVED)
+        assert time_step.reward == pytest.approx(step.reward)
+        assert time_step.success == (step.reward >= SOLVED)
 
 
 def test_robosuites_world_is_robosuites() -> None:
@@ -78,17 +86,17 @@ def test_robosuites_world_is_robosuites() -> None:
     env.reset()
     for move in actions(worlds, 5):
         shown, reward, _, _ = env.step(move[0].astype(float))
-        moment = worlds.step(move)
+        time_step = worlds.step(move)
         for name, part in worlds.layout.items():
             expected = np.ravel(shown[name]).astype(np.float32)
-            np.testing.assert_array_equal(moment.observation[0, part], expected)
-        assert (moment.reward, moment.success) == (reward, env._check_success())
+            np.testing.assert_array_equal(time_step.observation[0, part], expected)
+        assert (time_step.reward, time_step.success) == (reward, env._check_success())
     assert {"robot1_eef_pos", "peg_to_hole"} <= worlds.layout.keys()
     assert not [name for name in worlds.layout if "acc" in name]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", other_names())
+@pytest.mark.parametrize("name", external_names())
 def test_every_task_runs(name: str) -> None:
     worlds = opened(name, 1)
     check_env_specs(TaskEnv(worlds))
@@ -104,38 +112,38 @@ def test_an_episode_runs_to_its_time_limit_and_is_repeated(worlds) -> None:
     check_env_specs(TaskEnv(worlds))
     begun(worlds, 7)
     found = [worlds.step(move) for move in actions(worlds, 6)]
-    ends = [moment.truncated.tolist() for moment in found]
+    ends = [time_step.truncated.tolist() for time_step in found]
     assert ends == 5 * [[False] * 2] + [[True] * 2]
-    assert not np.any([moment.terminated for moment in found])
-    first = np.array([moment.observation for moment in found])
+    assert not np.any([time_step.terminated for time_step in found])
+    first = np.array([time_step.observation for time_step in found])
     np.testing.assert_array_equal(observed(begun(worlds, 7), actions(worlds, 6)), first)
     assert not np.allclose(observed(begun(worlds, 8), actions(worlds, 6)), first)
     assert not np.allclose(first[:, 0], first[:, 1])
 
 
-def test_a_broken_world_is_cut_off(worlds: OtherWorlds) -> None:
-    before = begun(worlds, 0).look().observation
+def test_a_broken_world_is_cut_off(worlds: ExternalBatch) -> None:
+    before = begun(worlds, 0).observe().observation
     count = worlds.fault_count
     move = actions(worlds, 1)[0]
     move[1, 0] = np.nan
-    moment = worlds.step(move)
-    assert moment.truncated.tolist() == [False, True]
+    time_step = worlds.step(move)
+    assert time_step.truncated.tolist() == [False, True]
     assert worlds.fault_count == count + 1
-    np.testing.assert_array_equal(moment.observation[1], before[1])
-    assert not np.allclose(moment.observation[0], before[0])
+    np.testing.assert_array_equal(time_step.observation[1], before[1])
+    assert not np.allclose(time_step.observation[0], before[0])
     worlds.begin(np.array([1]))
     assert not worlds.step(actions(worlds, 1)[0]).truncated.any()
 
 
-def test_saved_worlds_go_on_where_they_were(worlds: OtherWorlds) -> None:
+def test_saved_worlds_go_on_where_they_were(worlds: ExternalBatch) -> None:
     moves = actions(worlds, 6)
     observed(begun(worlds, 2), moves[:4])
     worlds.begin(np.array([1]))  # saved with no action yet
-    saved, shown = worlds.save_state(), worlds.look().observation
+    saved, shown = worlds.save_state(), worlds.observe().observation
     rest = observed(worlds, moves[4:])
     begun(worlds, 2)
     worlds.load_state(saved)
-    np.testing.assert_array_equal(worlds.look().observation, shown)
+    np.testing.assert_array_equal(worlds.observe().observation, shown)
     np.testing.assert_array_equal(observed(worlds, moves[4:]), rest)
     assert worlds.elapsed.tolist() == [6, 2]
 
@@ -162,7 +170,7 @@ def test_success_of_dm_control_is_a_full_reward_and_divergence_breaks() -> None:
 
 
 def test_a_process_that_died_is_told() -> None:
-    crew = Crew(str, 2, 2)
+    crew = WorkerPool(str, 2, 2)
     asked = {0: (3,), 1: (3,)}
     assert crew.ask("zfill", asked) == {0: "000", 1: "001"}
     (process,) = crew._home[1]._processes.values()
@@ -175,7 +183,7 @@ def test_a_process_that_died_is_told() -> None:
 
 
 TINY = [
-    *("--algo", "ppo", "--steps", "64", "--num-worlds", "2", "--threads", "1"),
+    *("--algo", "ppo", "--steps", "64", "--num-envs", "2", "--threads", "1"),
     *("--eval-every", "64", "--eval-episodes", "1", "--agent.rollout-length", "16"),
     *("--agent.actor-hidden", "8", "--agent.critic-hidden", "8", "--horizon", "20"),
 ]
@@ -197,7 +205,7 @@ def test_it_is_trained_and_judged(task, tmp_path: Path, monkeypatch, capsys) -> 
     assert card.task == task
     assert start("evaluate", run, "--episodes", 1, "--json", result) == 0
     assert f"stock {library}" in " ".join(capsys.readouterr().out.split())
-    assert json.loads(result.read_text())["stages"].keys() == {"success"}
+    assert json.loads(result.read_text())["milestones"].keys() == {"success"}
     for command in (("evaluate", run, "--env", "native"), ("render", run)):
         assert start(*command) == 2
         assert "is not on the batch engine" in capsys.readouterr().err
@@ -219,7 +227,7 @@ def test_a_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
     assert whole == resumed
 
 
-DM_TASK, OWN = f"--task {DM}", "it needs fidelity exact and own_starts 0, not "
+DM_TASK, OWN = f"--task {DM}", "it needs fidelity exact and restart_fraction 0, not "
 
 
 @pytest.mark.parametrize(
@@ -232,7 +240,7 @@ DM_TASK, OWN = f"--task {DM}", "it needs fidelity exact and own_starts 0, not "
         (f"{DM_TASK} --controller OSC_POSE", "known controllers: JOINT_VELOCITY"),
         (f"{DM_TASK} --control-freq 20", "known control_freqs: 25"),
         (f"{DM_TASK} --fidelity fast", OWN + "fast and 0.0"),
-        (f"{DM_TASK} --own-starts 0.5", OWN + "exact and 0.5"),
+        (f"{DM_TASK} --restart-fraction 0.5", OWN + "exact and 0.5"),
         (f"{DM_TASK} --reward shaped", "known rewards: stock"),
         ("--task robosuite/Lift --controller JOINT_VELOCITY", "unknown controller"),
         ("--task Lift --controller JOINT_VELOCITY", "unknown controller"),

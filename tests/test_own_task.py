@@ -16,16 +16,16 @@ from hypothesis import strategies as st
 from twin import copy_start
 
 from manip.agents.policy import load_policy
-from manip.envs.native import NativeWorlds
-from manip.envs.registry import load_task, task_names
-from manip.envs.stock import StockWorlds
+from manip.envs.backends.native_batch import NativeBatch
+from manip.envs.backends.stock_batch import StockBatch
 from manip.envs.task import Start, Task
-from manip.envs.worlds import Moment
+from manip.envs.task_batch import TimeStep
+from manip.envs.task_registry import load_task, task_names
 from manip.errors import UserError
-from manip.evaluation import evaluate as evaluation
+from manip.evaluation import runners as evaluation
 from manip.programs import cli, main
 from manip.sim import gl
-from manip.sim.model import Scene
+from manip.sim.scene import Scene
 
 ROOT = Path(__file__).parents[1]
 PAGE, FOLDER = ROOT / "docs/own-task.md", ROOT / "docs/own_task"
@@ -59,38 +59,38 @@ def test_the_page_shows_the_file() -> None:
 
 
 def test_the_engine_does_what_stock_does(press: Task, scene: Scene) -> None:
-    theirs = StockWorlds(press, stock=scene.stock)
-    ours = NativeWorlds(press, 2, scene=scene, threads=1)
+    theirs = StockBatch(press, stock=scene.stock)
+    ours = NativeBatch(press, 2, scene=scene, threads=1)
     theirs.begin(np.arange(1))
     copy_start(press, ours.engine, range(2))
     for _ in range(25):
-        action = press.script(press.measure(theirs.read())).astype(np.float32)
-        moment, expected = ours.step(action.repeat(2, 0)), theirs.step(action)
+        action = press.expert(press.measure(theirs.read())).astype(np.float32)
+        time_step, expected = ours.step(action.repeat(2, 0)), theirs.step(action)
         np.testing.assert_allclose(
-            moment.observation[:1], expected.observation, 0, 1e-4
+            time_step.observation[:1], expected.observation, 0, 1e-4
         )
-        np.testing.assert_allclose(moment.reward[:1], expected.reward, 0, 1e-4)
-        assert moment.success[0] == expected.success == scene.stock._check_success()
-    assert moment.success.all()
+        np.testing.assert_allclose(time_step.reward[:1], expected.reward, 0, 1e-4)
+        assert time_step.success[0] == expected.success == scene.stock._check_success()
+    assert time_step.success.all()
 
 
 def test_every_episode_can_be_solved(press: Task, scene: Scene) -> None:
-    worlds = NativeWorlds(press, 8, scene=scene)
+    worlds = NativeBatch(press, 8, scene=scene)
     worlds.begin(np.arange(8))
-    found = [worlds.step(worlds.script()) for _ in range(40)]
+    found = [worlds.step(worlds.expert()) for _ in range(40)]
     assert not found[0].success.any()
-    assert np.all([moment.success for moment in found[-10:]])
+    assert np.all([time_step.success for time_step in found[-10:]])
 
 
 def test_it_is_trained_judged_and_filmed(tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.setattr(evaluation, "usable_cpus", lambda: 1)
     run, result, film = tmp_path / "run", tmp_path / "eval.json", tmp_path / "film.mp4"
-    size = "--num-worlds 4 --eval-every 64 --eval-episodes 1 --agent.rollout-length 8"
+    size = "--num-envs 4 --eval-every 64 --eval-episodes 1 --agent.rollout-length 8"
     rig = f"--task press:Press --algo ppo --steps 64 {size}"
     start("train", *rig.split(), "--out", run)
     assert load_policy(run).card.task == "press:Press"
     start("evaluate", run, "--episodes", 1, "--json", result)
-    assert json.loads(result.read_text())["stages"].keys() == {"near", "press"}
+    assert json.loads(result.read_text())["milestones"].keys() == {"near", "press"}
     if gl.find_backend():
         start("render", run, "--episodes", 1, "--steps", 2, "--out", film)
         assert film.stat().st_size > 1000
@@ -176,25 +176,25 @@ MISTAKES: dict[str, tuple[str, Method]] = {
         lambda task, m: m["button_qpos"] > 0,
     ),
     "failure() has shape (), not (3,)": ("failure", lambda task, m: None),
-    "remember() gives 'pushed', but sensors.memory names nothing": (
-        "remember",
+    "update_memory() gives 'pushed', but sensors.memory names nothing": (
+        "update_memory",
         lambda task, m: {"pushed": m["button_qpos"]},
     ),
-    "reached() gives 'near', 'push', but stages names 'near', 'press'": (
-        "reached",
+    "milestones() gives 'near', 'push', but milestones names 'near', 'press'": (
+        "milestones",
         lambda task, m: dict.fromkeys(["near", "push"], m["depth"] > 0),
     ),
-    "reached() stage 'near' holds float64, not bool": (
-        "reached",
-        lambda task, m: dict.fromkeys(task.stages, m["depth"]),
+    "milestones() stage 'near' holds float64, not bool": (
+        "milestones",
+        lambda task, m: dict.fromkeys(task.milestone_names, m["depth"]),
     ),
     "sample_start() gives ndarray, not Start(qpos, fields)": (
         "sample_start",
-        lambda task, scene, streams: scene.handles.qpos,
+        lambda task, scene, streams: scene.layout.qpos,
     ),
     "sample_start() qpos has shape (10,), not (2, 10)": (
         "sample_start",
-        lambda task, scene, streams: Start(scene.handles.qpos),
+        lambda task, scene, streams: Start(scene.layout.qpos),
     ),
     "sample_start(): unknown field 'socket': did you mean 'socket_place'? known": (
         "sample_start",
@@ -211,7 +211,7 @@ MISTAKES: dict[str, tuple[str, Method]] = {
 
 
 def at_rest(scene: Scene, episodes: int) -> np.ndarray:
-    return np.tile(scene.handles.qpos, (episodes, 1))
+    return np.tile(scene.layout.qpos, (episodes, 1))
 
 
 @pytest.mark.parametrize("told", MISTAKES)
@@ -221,7 +221,7 @@ def test_a_wrong_part_is_told_when_its_worlds_are_built(
     method, body = MISTAKES[told]
     wrong = type("Mine", (type(press),), {method: body})()
     with pytest.raises(UserError) as error:
-        NativeWorlds(wrong, 3, scene=scene, threads=1)
+        NativeBatch(wrong, 3, scene=scene, threads=1)
     assert str(error.value).startswith(f"task 'Mine': {told}")
     assert "\n" not in str(error.value)
 
@@ -230,27 +230,34 @@ def fails(task: Task, m: Any) -> Any:
     raise ArithmeticError("so\nsad")
 
 
-@pytest.mark.parametrize("method", ["measure", "observe", "success", "remember"])
+@pytest.mark.parametrize("method", ["measure", "observe", "success", "update_memory"])
 def test_an_error_inside_a_task_is_told_with_its_place(method, press, scene) -> None:
     wrong = type("Mine", (type(press),), {method: fails, "__module__": __name__})()
     line = fails.__code__.co_firstlineno + 1
     told = f"task 'Mine': ArithmeticError: so sad (test_own_task.py, line {line})"
     with pytest.raises(UserError) as error:
-        NativeWorlds(wrong, 3, scene=scene, threads=1)
+        NativeBatch(wrong, 3, scene=scene, threads=1)
     assert str(error.value) == told
 
 
 def test_an_error_in_a_later_step_is_told(press: Task, scene: Scene) -> None:
     wrong = type("Mine", (type(press),), {})()
-    worlds = NativeWorlds(wrong, 3, scene=scene, threads=1)
+    worlds = NativeBatch(wrong, 3, scene=scene, threads=1)
     worlds.begin(np.arange(3))
     wrong.observe = lambda m: {"depth": m["depth"]}
     with pytest.raises(UserError, match="task 'Mine': "):
         worlds.step(np.zeros((3, 7)))
 
 
-PARTS = ("measure", "observe", "reward_terms", "success", "failure", "remember")
-PARTS += ("reached", "sample_start", "horizon", "weights", "stages", "sensors")
+PARTS = ("measure", "observe", "reward_terms", "success", "failure", "update_memory")
+PARTS += (
+    "milestones",
+    "sample_start",
+    "horizon",
+    "weights",
+    "milestone_names",
+    "sensors",
+)
 
 arrays = st.builds(
     np.full,
@@ -263,29 +270,29 @@ anything |= st.lists(anything, max_size=2) | st.dictionaries(names, anything)
 given_back = anything | st.builds(Start, anything, st.dictionaries(names, anything))
 
 
-def played(task: Task, scene: Scene) -> list[Moment] | str:
+def played(task: Task, scene: Scene) -> list[TimeStep] | str:
     """What is seen of three worlds at first and after a step, or what is told."""
     try:
-        worlds = NativeWorlds(task, 3, scene=scene, threads=1)
+        worlds = NativeBatch(task, 3, scene=scene, threads=1)
         worlds.begin(np.arange(3))
-        return [worlds.look(), worlds.step(np.zeros((3, 7)))]
+        return [worlds.observe(), worlds.step(np.zeros((3, 7)))]
     except UserError as error:
         return str(error)
 
 
 def assert_right_or_told(part: str, value: Any, press: Task, scene: Scene) -> None:
-    data = part in ("horizon", "weights", "stages", "sensors")
+    data = part in ("horizon", "weights", "milestones", "sensors")
     body = value if data else lambda task, *given: value
     moments = played(type("Odd", (type(press),), {part: body})(), scene)
     if isinstance(moments, str):
         assert "\n" not in moments
         return
-    for moment in moments:
-        assert moment.observation.dtype == np.float32
-        assert np.isfinite(moment.observation).all()
-        assert moment.reward.shape == (3,)
-        assert np.isfinite(moment.reward).all()
-        assert moment.done.dtype == moment.success.dtype == bool
+    for time_step in moments:
+        assert time_step.observation.dtype == np.float32
+        assert np.isfinite(time_step.observation).all()
+        assert time_step.reward.shape == (3,)
+        assert np.isfinite(time_step.reward).all()
+        assert time_step.done.dtype == time_step.success.dtype == bool
 
 
 patient = settings(
@@ -329,10 +336,10 @@ def test_a_module_that_cannot_be_imported_is_told(
 
 
 def test_a_task_without_its_numbers_is_told(press: Task, monkeypatch) -> None:
-    bare = type("Bare", (Task,), {"name": "bare", "stages": ("near",)})
+    bare = type("Bare", (Task,), {"name": "bare", "milestones": ("near",)})
     monkeypatch.setattr(sys.modules["press"], "Bare", bare, raising=False)
     missing = (
-        "measure, observe, .*, success, robosuite_name, sensors, horizon, weights$"
+        "measure, observe, .*, success, robosuite_name, sensors, horizon, weights, milestone_names$"
     )
     with pytest.raises(UserError, match=f"'press:Bare' does not define {missing}"):
         load_task("press:Bare")

@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scripted import TASKS
-from twin import RESYNCED, copy_state, reading, remember, start_twin
+from twin import RESYNCED, copy_state, reading, start_twin, update_memory
 
-from manip.envs.registry import load_task
 from manip.envs.task import Task
+from manip.envs.task_registry import load_task
 from manip.rewards.compose import weighted_sum
-from manip.sim.engine import BatchEngine
-from manip.sim.model import Scene, load_scene
-from manip.sim.reader import stock_reader
-from manip.sim.stock import CONTROL_FREQUENCIES, CONTROLLERS, ROBOTS
-from tasks.dirt import MARKERS
-from tasks.hanging import BASE, CORNER
-from tasks.tool_hang import ToolHang
-from tasks.wipe import TABLE
+from manip.sim.batch_engine import BatchEngine
+from manip.sim.robot_config import CONTROL_FREQUENCIES, CONTROLLERS, ROBOTS
+from manip.sim.scene import Scene, load_scene
+from manip.sim.stock_reader import stock_reader
+from manip.tasks.dirt import MARKERS
+from manip.tasks.hanging import BASE, CORNER
+from manip.tasks.tool_hang import ToolHang
+from manip.tasks.wipe import TABLE
 
 Array = np.ndarray
 
@@ -31,7 +31,7 @@ WORLDS, WORLD = 12, 7
 HELD_STEPS = 10
 
 
-class Moment(NamedTuple):
+class TimeStep(NamedTuple):
     """The same instant in stock robosuite and in a world of the engine [1, ...].
 
     `read` also holds what was read a step ago, under names that begin with last_.
@@ -56,7 +56,7 @@ def play(
     act: Act,
     steps: int,
     resync: int | None = None,
-) -> Iterator[Moment]:
+) -> Iterator[TimeStep]:
     """Take the same actions in stock and in one world; the others act at random."""
     stock = engine.scene.stock
     start_twin(task, engine, [world], seed)
@@ -67,11 +67,11 @@ def play(
             copy_state(task, engine, [world])
         last = reading(engine, world)
         action = act(last, step)
-        actions = rng.uniform(-1, 1, (engine.num_worlds, action.shape[1]))
+        actions = rng.uniform(-1, 1, (engine.num_envs, action.shape[1]))
         actions[world] = action[0]
         found, reward, _, _ = stock.step(action[0])
         engine.step(actions)
-        now = Moment(
+        now = TimeStep(
             found,
             reading(engine, world) | {f"last_{name}": last[name] for name in last},
             reward,
@@ -79,7 +79,7 @@ def play(
             {name: read_stock()[name] for name in contacts(task)},
             both_pads_touch(stock),
         )
-        remember(task, engine, np.arange(engine.num_worlds))
+        update_memory(task, engine, np.arange(engine.num_envs))
         yield now
 
 
@@ -96,14 +96,14 @@ def both_pads_touch(stock: Any) -> bool:
 
 def random_actions(scene: Scene, seed: int) -> Act:
     rng = np.random.default_rng(seed)
-    return lambda read, step: rng.uniform(-1, 1, (1, scene.handles.action_dim))
+    return lambda read, step: rng.uniform(-1, 1, (1, scene.layout.action_dim))
 
 
 def scripted_actions(task: Task) -> Act:
-    return lambda read, step: task.script(task.measure(read))
+    return lambda read, step: task.expert(task.measure(read))
 
 
-Trace = list[Moment]
+Trace = list[TimeStep]
 
 
 RANDOM_RUNS = (
@@ -128,7 +128,7 @@ class Run(NamedTuple):
 
     task: Task
     scene: Scene
-    trace: list[Moment]
+    trace: list[TimeStep]
 
 
 @pytest.fixture(scope="module", params=RANDOM_RUNS, ids="-".join)
@@ -160,7 +160,7 @@ def script_run(request, scene_of) -> Run:
 
 
 @pytest.fixture(scope="module")
-def lift_trace(lift: Task, lift_scene: Scene) -> list[Moment]:
+def lift_trace(lift: Task, lift_scene: Scene) -> list[TimeStep]:
     engine = BatchEngine(lift_scene, 1)
     return list(play(lift, engine, 0, 1, scripted_actions(lift), 45))
 
@@ -183,7 +183,7 @@ Reading = Callable[[dict[str, Array], Scene], Array]
 ROBOT_READINGS: dict[str, Reading] = {
     "robot0_joint_pos": lambda r, s: r["joint_pos"][0],
     "robot0_joint_vel": lambda r, s: r["joint_vel"][0],
-    "robot0_joint_acc": lambda r, s: r["qacc"][0, s.handles.arm.dof],
+    "robot0_joint_acc": lambda r, s: r["qacc"][0, s.layout.arm.dof],
     "robot0_eef_pos": lambda r, s: r["eef_pos"][0],
     "robot0_eef_quat": lambda r, s: wxyz_to_xyzw(r["hand_quat"][0]),
     "robot0_gripper_qpos": lambda r, s: r["gripper_qpos"][0],
@@ -320,9 +320,9 @@ def test_every_observation_of_stocks_objects_is_compared(script_run: Run) -> Non
 def test_a_reset_reads_as_stocks(script_run: Run) -> None:
     task, scene, _ = script_run
     engine = BatchEngine(scene, 2, threads=1)
-    engine.step(np.ones((2, scene.handles.action_dim)))
+    engine.step(np.ones((2, scene.layout.action_dim)))
     found = start_twin(task, engine, [0], seed=5)
-    now = Moment(found, reading(engine, 0), 0.0, False, {}, False)
+    now = TimeStep(found, reading(engine, 0), 0.0, False, {}, False)
     assert_reads_as_stock(Run(task, scene, [now]), rtol=0, atol=1e-7)
 
 
@@ -372,7 +372,7 @@ def test_touches_are_stocks(script_run: Run) -> None:
         assert ours == [at.touches[name][0] for at in script_run.trace], name
 
 
-def test_touching_pads_are_stocks_grasp(lift_trace: list[Moment]) -> None:
+def test_touching_pads_are_stocks_grasp(lift_trace: list[TimeStep]) -> None:
     ours = [bool(at.read["left_touch"] * at.read["right_touch"]) for at in lift_trace]
     assert ours == [at.both_pads for at in lift_trace]
     assert (ours[0], ours[-1]) == (False, True)

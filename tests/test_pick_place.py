@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.rewards.compose import weighted_sum
-from manip.sim.engine import BatchEngine
-from tasks.pick_place import (
+from manip.sim.batch_engine import BatchEngine
+from manip.tasks.pick_place import (
     ITEMS,
     PickPlace,
     PickPlaceBread,
@@ -19,7 +19,7 @@ from tasks.pick_place import (
 TASKS = (PickPlaceBread, PickPlaceCan, PickPlaceCereal, PickPlaceMilk)
 
 
-def stages(task: PickPlace) -> dict[str, np.ndarray]:
+def milestones(task: PickPlace) -> dict[str, np.ndarray]:
     """Far, near, grasped, 8 cm up, up, over, opened there, just let go, inside."""
     item = ITEMS[task.item]
     place = np.array([*item.place, 0.0])
@@ -45,7 +45,7 @@ def stages(task: PickPlace) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("cls", TASKS)
 def test_it_pays_as_its_docstring_says_and_more_each_stage(cls) -> None:
     task, tanh = cls(), np.tanh
-    m, item = stages(task), ITEMS[cls.item]
+    m, item = milestones(task), ITEMS[cls.item]
     shaped = weighted_sum(task.reward_terms(m, "shaped"), task.weights["shaped"])
     carried = 0.25 * (1 - 0.5 / 0.75)
     held = [0.25, 0.25 + 0.4 * (0.15 + carried), 0.4 + carried, 0.7, 0.75]
@@ -58,7 +58,7 @@ def test_it_pays_as_its_docstring_says_and_more_each_stage(cls) -> None:
 
 def test_a_gripper_closed_around_nothing_reaches_for_half() -> None:
     task = PickPlaceCan()
-    m = stages(task)
+    m = milestones(task)
     m["gripper_closing"] = np.ones(9)
     reach = task.reward_terms(m, "shaped")["reach"]
     np.testing.assert_allclose(reach[:3], [0.5 * (1 - np.tanh(1)), 0.5, 1])
@@ -67,14 +67,14 @@ def test_a_gripper_closed_around_nothing_reaches_for_half() -> None:
 @pytest.mark.parametrize("cls", TASKS)
 def test_stages_are_reached_one_after_the_other(cls) -> None:
     task = cls()
-    reached = task.reached(stages(task))
-    first = [int(np.argmax(reached[name])) for name in task.stages]
+    reached = task.milestones(milestones(task))
+    first = [int(np.argmax(reached[name])) for name in task.milestone_names]
     assert first == [1, 2, 4, 5, 5, 8]
 
 
 def test_the_stock_reward_counts_from_the_highest_object() -> None:
     task, tanh = PickPlaceCan(), np.tanh
-    m = stages(task)
+    m = milestones(task)
     weights = task.weights["stock"]
     stock = weighted_sum(task.reward_terms(m, "stock"), weights)
     far = 0.2 * (1 - tanh(5))

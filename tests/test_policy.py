@@ -14,7 +14,7 @@ from manip.agents import policy as policies
 from manip.agents.networks import Actor
 from manip.agents.policy import CARD, WEIGHTS, Policy, PolicyCard, load_policy
 from manip.errors import DamagedError, UserError
-from manip.trees import load_tree, save_tree
+from manip.io.tensor_trees import load_tree, save_tree
 
 
 def make_policy(squash: bool = True, normalise: bool = True) -> Policy:

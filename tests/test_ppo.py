@@ -12,11 +12,11 @@ from torchrl.objectives import PPOLoss
 from torchrl.objectives.value import GAE
 from toy import QUICK_PPO, make_agent, mean_return, rollout_of, three_steps, train
 
-from manip.agents import checked
 from manip.agents.agent import Agent, Spaces
+from manip.agents.native import gradient_check as checked
+from manip.agents.native.ppo_gradients import AutogradGradients, NativeGradients
 from manip.agents.ppo import PPO, PPOConfig
-from manip.agents.ppo_gradients import AutogradGradients, NativeGradients
-from manip.agents.returns import add_values
+from manip.agents.value_targets import add_values
 
 
 def loss_of(agent: Agent) -> PPOLoss:

@@ -11,7 +11,7 @@ from toy import QUICK_PPO_KL, make_agent, mean_return, rollout_of, train
 
 from manip.agents.policy import Policy, PolicyCard
 from manip.agents.ppo_kl import PPOKL, PPOKLConfig
-from manip.agents.returns import add_values
+from manip.agents.value_targets import add_values
 from manip.errors import UserError
 from manip.training.build import build_agent, evaluation_env, policy_of
 from manip.training.config import from_dict
@@ -123,7 +123,7 @@ def test_a_run_that_goes_on_keeps_its_reference(tmp_path) -> None:
 def test_a_reference_of_another_arm_or_task_is_refused(
     changes: dict[str, Any], told: str, tmp_path: Path
 ) -> None:
-    config = from_dict({"task": "Reach", "algo": "ppo-kl", "num_worlds": 1})
+    config = from_dict({"task": "Reach", "algo": "ppo-kl", "num_envs": 1})
     judge = evaluation_env(replace(config, eval_episodes=1))
     policy = policy_of(build_agent(config, judge), config, judge, 0)
     replace(policy, card=replace(policy.card, **changes)).save(tmp_path)

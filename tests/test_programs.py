@@ -15,18 +15,18 @@ import pytest
 import yaml
 
 from manip.agents.policy import WEIGHTS, load_policy
-from manip.envs.others import other_names
-from manip.envs.registry import task_names
-from manip.evaluation import evaluate as evaluation
+from manip.envs.backends.external_batch import external_names
+from manip.envs.task_registry import task_names
+from manip.evaluation import runners as evaluation
 from manip.programs import cli, main
 from manip.sim import gl
-from manip.sim.stock import CONTROLLERS, ROBOTS
+from manip.sim.robot_config import CONTROLLERS, ROBOTS
 from manip.training.config import ALGORITHMS, recipe_names
 
 ROOT = Path(__file__).parents[1]
 
 TINY = [
-    *("--task", "Reach", "--algo", "ppo", "--steps", "64", "--num-worlds", "4"),
+    *("--task", "Reach", "--algo", "ppo", "--steps", "64", "--num-envs", "4"),
     *("--eval-every", "64", "--eval-episodes", "1", "--agent.rollout-length", "8"),
     *("--agent.actor-hidden", "8", "--agent.critic-hidden", "8"),
 ]
@@ -38,7 +38,14 @@ LAUGHS = "task:\n- &a0 [ha]\n" + "".join(
 
 CONTRACT = {
     *("task", "robot", "algo", "env", "fidelity", "episodes", "seed"),
-    *("env_steps_trained", "success", "return_mean", "stages", "seconds", "versions"),
+    *(
+        "env_steps_trained",
+        "success",
+        "return_mean",
+        "milestones",
+        "seconds",
+        "versions",
+    ),
 }
 """Keys that readers of eval.json rely on."""
 
@@ -111,14 +118,18 @@ def assert_contract(result: dict, env: str, episodes: int, seed: int) -> None:
     assert (result["algo"], result["env"]) == ("ppo", env)
     assert (result["episodes"], result["seed"]) == (episodes, seed)
     assert result["env_steps_trained"] == 64
-    assert result["success"].keys() == {"once", "at_end", "held"}
+    assert result["success"].keys() == {
+        "success_once",
+        "success_at_end",
+        "success_held",
+    }
     for rate in result["success"].values():
         assert rate.keys() == {"rate", "low", "high"}
         assert 0 <= rate["low"] <= rate["rate"] <= rate["high"] <= 1
-    assert result["stages"].keys() == {"near", "reach"}
+    assert result["milestones"].keys() == {"near", "reach"}
     assert 0 < result["return_mean"] < 80
     assert result["seconds"] > 0
-    assert {"manip", "mujoco", "robosuite", "torch"} <= result["versions"].keys()
+    assert {"manip-suite", "mujoco", "robosuite", "torch"} <= result["versions"].keys()
 
 
 def test_native_evaluation_writes_the_contract_and_repeats_itself(manip, run) -> None:
@@ -154,7 +165,7 @@ def test_stock_episodes_do_not_depend_on_the_workers(manip, run, monkeypatch) ->
 def test_list_names_everything_there_is(manip: Manip) -> None:
     found = json.loads(manip("list", "--json").out)
     assert found["tasks"] == task_names() != []
-    assert found["other_tasks"] == other_names() != []
+    assert found["external_tasks"] == external_names() != []
     assert found["robots"] == list(ROBOTS)
     assert found["algorithms"] == list(ALGORITHMS)
     assert found["action_spaces"] == list(CONTROLLERS)
@@ -224,7 +235,7 @@ def refusal(found: Result) -> str:
         ("train --steps many", "--steps: invalid literal for int.*'many'"),
         ("train --steps 0", "steps must be at least 1, not 0"),
         ("train --eval-every 0", "eval_every must be at least 1, not 0"),
-        ("train --num-worlds 0", "num_worlds must be at least 1, not 0"),
+        ("train --num-envs 0", "num_envs must be at least 1, not 0"),
         ("train --threads 0", "threads must be at least 1, not 0"),
         ("train --seed -1", "seed must be at least 0, not -1"),
         (
@@ -232,7 +243,7 @@ def refusal(found: Result) -> str:
             "learning_rate must be at least 0, not nan",
         ),
         ("train --agent.actor-hidden -3", "actor_hidden must be at least 1, not -3"),
-        ("train --num-worlds 10000000000 --steps 1", "not enough memory"),
+        ("train --num-envs 10000000000 --steps 1", "not enough memory"),
         ("train --stepz 3", "Unrecognized options: --stepz.*--steps INT"),
         ("train --agent.gama 1", "Unrecognized options: --agent.gama.*--agent.gamma"),
         ("train --algo ppo --agent.tau 1", "Unrecognized options: --agent.tau, 1"),

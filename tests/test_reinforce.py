@@ -22,7 +22,7 @@ from toy import (
 )
 
 from manip.agents.on_policy import OnPolicy
-from manip.agents.returns import add_values, n_step_advantages
+from manip.agents.value_targets import add_values, n_step_advantages
 from manip.errors import UserError
 from manip.training.config import AgentConfig
 

@@ -13,16 +13,10 @@ from mujoco.rendering.classic import gl_context
 from PIL import Image
 
 from manip.errors import UserError
+from manip.io.video import Caption, draw_caption, save_animation
 from manip.sim import gl
-from manip.sim.render import (
-    Caption,
-    camera_names,
-    draw_caption,
-    hide_decorations,
-    render_frames,
-    save_animation,
-)
-from manip.sim.stock import make_stock
+from manip.sim.renderer import camera_names, hide_decorations, render_frames
+from manip.sim.robosuite_factory import make_stock
 
 PENDULUM = """
 <mujoco>

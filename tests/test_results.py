@@ -8,16 +8,16 @@ import pytest
 
 from manip.agents import policy
 from manip.agents.policy import load_policy, shipped_policies
-from manip.envs.native import NativeWorlds
-from manip.envs.registry import load_task
+from manip.envs.backends.native_batch import NativeBatch
+from manip.envs.task_registry import load_task
 from manip.errors import UserError
-from manip.evaluation import evaluate as evaluation
-from manip.evaluation.results import Results, Run, load_results, markdown
+from manip.evaluation import runners as evaluation
+from manip.evaluation.shipped_results import Results, Run, load_results, markdown
 from manip.programs import cli, reproduce
 from manip.programs.results import with_table
-from manip.sim.stock import ROBOTS, Rig
+from manip.sim.robot_config import ROBOTS, RobotConfig
 from manip.training.config import recipe_names, recipes
-from manip.training.loop import begin_or_resume
+from manip.training.trainer import begin_or_resume
 
 README = (Path(__file__).parents[1] / "README.md").read_text()
 
@@ -36,7 +36,7 @@ def test_every_result_is_of_a_recipe_and_an_arm() -> None:
         assert (result.task, result.algo) in known
         assert result.robot in ROBOTS
         for run in result.runs:
-            assert 0 <= run.held <= run.episodes
+            assert 0 <= run.success_held <= run.episodes
             assert 0 < run.rate.low <= run.rate.rate <= run.rate.high <= 1
 
 
@@ -55,8 +55,8 @@ def test_a_shipped_policy_loads_and_has_a_result(name: str) -> None:
 @pytest.mark.parametrize("name", shipped_policies())
 def test_a_shipped_policy_fits_its_task(name: str) -> None:
     card = load_policy(name).card
-    rig = Rig(card.robot, card.controller, card.control_freq)
-    worlds = NativeWorlds(load_task(card.task), 1, **rig._asdict(), threads=1)
+    rig = RobotConfig(card.robot, card.controller, card.control_freq)
+    worlds = NativeBatch(load_task(card.task), 1, **rig._asdict(), threads=1)
     assert worlds.action_dim == card.action_dim
     found = {name: [part.start, part.stop] for name, part in worlds.layout.items()}
     assert found == card.layout
@@ -82,7 +82,7 @@ def test_results_survive_their_file(tmp_path: Path) -> None:
 )
 def test_runs_compare_by_their_intervals(held, before, found) -> None:
     run = Run(0, held, 100, 80_000, 2.0)
-    stored = None if before is None else replace(run, held=before)
+    stored = None if before is None else replace(run, success_held=before)
     assert reproduce.verdict(run, stored) == found
 
 
@@ -114,7 +114,7 @@ def tiny(monkeypatch, tmp_path: Path) -> Path:
         config.agent, rollout_length=8, actor_hidden=(8,), critic_hidden=(8,)
     )
     config = replace(
-        config, steps=64, num_worlds=4, eval_every=64, eval_episodes=1, agent=agent
+        config, steps=64, num_envs=4, eval_every=64, eval_episodes=1, agent=agent
     )
     results = tmp_path / "results.yaml"
     Results({}, ()).save(results)
@@ -134,18 +134,18 @@ def test_a_recipe_is_reproduced_and_compared(tiny: Path, tmp_path: Path) -> None
     (result,) = load_results(tiny).results
     (run,) = result.runs
     assert (result.key, run.seed) == (("Reach", "Panda", "ppo"), 0)
-    assert (run.held, run.episodes, run.env_steps) == (0, 1, 64)
+    assert (run.success_held, run.episodes, run.env_steps) == (0, 1, 64)
     assert shipped_policies() == {}  # it did not hold
-    good = replace(result, runs=(replace(run, held=1),))
+    good = replace(result, runs=(replace(run, success_held=1),))
     reproduce._ship_policy(good, tmp_path, load_results(tiny))
     assert load_policy("Reach").card.env_steps == 64
-    better = replace(result, runs=(replace(run, held=100, episodes=100),))
+    better = replace(result, runs=(replace(run, success_held=100, episodes=100),))
     Results({}, (better,)).save(tiny)
     assert cli.run(reproduce.main, [*command, "--json", str(found)]) == 1
     (row,) = json.loads(found.read_text())["results"]
     assert row["runs"][0]["verdict"] == "worse"
     assert row["runs"][0]["shipped"]["rate"] == 1.0
-    assert (row["runs"][0]["held"], row["runs"][0]["env_steps"]) == (0, 64)
+    assert (row["runs"][0]["success_held"], row["runs"][0]["env_steps"]) == (0, 64)
     assert load_results(tiny).results == (better,)
 
 

@@ -10,13 +10,14 @@ from torch.distributions import Normal
 from torchrl.objectives import SACLoss
 from toy import QUICK_SAC, Points, make_agent, mean_return, train
 
-from manip.agents import checked, sac_gradients
 from manip.agents.agent import Spaces
+from manip.agents.native import gradient_check as checked
+from manip.agents.native import sac_gradients as sac_gradients
+from manip.agents.native.sac_gradients import AutogradGradients, NativeGradients
 from manip.agents.off_policy import rows_of
-from manip.agents.returns import n_step_transitions
 from manip.agents.sac import SAC, SACConfig
-from manip.agents.sac_gradients import AutogradGradients, NativeGradients
-from manip.training.rollout import Rollout
+from manip.agents.value_targets import n_step_transitions
+from manip.training.collector import Rollout
 
 SPACES = Spaces(observation_dim=5, action_dim=3)
 SMALL = SACConfig(

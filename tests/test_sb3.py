@@ -8,7 +8,7 @@ import pytest
 from gymnasium.vector import VectorEnv
 from gymnasium.wrappers.vector import TransformAction
 
-import manip.envs.gymnasium  # noqa: F401 (registers the tasks)
+import manip.envs.adapters.gymnasium  # noqa: F401 (registers the tasks)
 from manip.errors import UserError
 
 Array = np.ndarray
@@ -21,12 +21,14 @@ from stable_baselines3 import SAC  # noqa: E402
 from stable_baselines3.common.env_checker import check_env  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor  # noqa: E402
 
-from manip.envs.sb3 import Sb3VecEnv  # noqa: E402
+from manip.envs.adapters.sb3 import Sb3VecEnv  # noqa: E402
 
 
 @pytest.fixture
 def _shared_scene(reach_scene, monkeypatch) -> None:
-    monkeypatch.setattr("manip.envs.native.load_scene", lambda *_: reach_scene)
+    monkeypatch.setattr(
+        "manip.envs.backends.native_batch.load_scene", lambda *_: reach_scene
+    )
 
 
 def batch(num_envs: int, steps: int) -> Sb3VecEnv:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 
 Array = np.ndarray
 

@@ -11,13 +11,13 @@ import torch
 import yaml
 from toy import QUICK_A2C, Points, make_agent
 
-from manip.files import write_text
+from manip.io.atomic_files import write_text
 from manip.programs import cli, study
 from manip.studies import gradients
 from manip.studies.gradients import _compare, _sample, _squared_mean
 from manip.studies.learning import algorithm_variants
+from manip.training.collector import Rollout
 from manip.training.config import to_dict
-from manip.training.rollout import Rollout
 
 
 def test_a_squared_mean_is_estimated_without_bias() -> None:
@@ -92,7 +92,9 @@ def one_run(tmp_path: Path) -> list[str]:
     plain = yaml.safe_dump(to_dict(run))
     write_text(run.folder / "config.yaml", plain)
     rows = "".join(f"{128 * i},{i},0.5\n" for i in range(1, 6))
-    write_text(run.folder / "metrics.csv", f"env_steps,cpu_seconds,eval/held\n{rows}")
+    write_text(
+        run.folder / "metrics.csv", f"env_steps,cpu_seconds,eval/success_held\n{rows}"
+    )
     options = ["algorithms", "--algos", "a2c", "--seeds", "1", "--steps"]
     return ["--out", str(tmp_path), *options]
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from manip.benchmarks import task as benchmark
+from manip.benchmarks import bench_task as benchmark
 from manip.benchmarks.attempts import Attempt, figures, median_time, verdict
-from manip.envs.registry import load_task
-from manip.evaluation import evaluate
+from manip.envs.task_registry import load_task
+from manip.evaluation import runners as evaluate
 from manip.evaluation.statistics import Rate
 from manip.programs import cli
 from manip.programs.benchmark_task import main
@@ -49,7 +49,7 @@ def test_a_peer_is_told_of_in_a_line() -> None:
 def _tiny(monkeypatch) -> None:
     """Training that learns nothing, and judges in this process."""
     train = benchmark._train
-    size = ("--num-worlds", "4", "--threads", "1", "--agent.batch-size", "16")
+    size = ("--num-envs", "4", "--threads", "1", "--agent.batch-size", "16")
     less = ("--steps", "64", "--eval-every", "64", "--eval-episodes", "1", *size)
     monkeypatch.setattr(
         benchmark, "_train", lambda t, s, to, more=(): train(t, s, to, (*less, *more))
@@ -68,7 +68,7 @@ def test_ours_is_a_process_that_trains_and_is_judged_in_stock(
     (found,) = record["attempts"]
     assert found["env_steps"] == 64
     assert found["seconds"] > 1
-    assert found["held"]["rate"] == 0
+    assert found["success_held"]["rate"] == 0
     assert record["figures"]["seconds_to_held"] is None
     said = capfd.readouterr()
     assert "missed" in said.out
@@ -107,7 +107,7 @@ def sb3():
 
 def test_the_peer_sees_what_our_tasks_see_and_robosuite_pays(sb3) -> None:
     peer = sb3.stock_env("Lift")
-    task, worlds = load_task("Lift"), peer.unwrapped.worlds
+    task, worlds = load_task("Lift"), peer.unwrapped.batch
     peer.reset(seed=5)
     for _ in range(2):
         seen, reward, *ends, _ = peer.step(peer.action_space.sample())

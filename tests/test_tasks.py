@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 from scipy.stats import ks_2samp
 from scripted import TASKS
-from twin import remember
+from twin import update_memory
 
-from manip.envs.registry import load_task, task_names
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Task
+from manip.envs.task_registry import load_task, task_names
 from manip.rewards.compose import weighted_sum
-from manip.sim.engine import BatchEngine
-from manip.sim.handles import Sensors
-from manip.sim.model import Scene
-from manip.sim.reader import stock_reader
-from manip.sim.stock import reseed
-from tasks.door import Door
-from tasks.lift import Lift
-from tasks.scenes.reach import GOAL_HIGH, GOAL_LOW
-from tasks.stack import Stack
+from manip.sim.batch_engine import BatchEngine
+from manip.sim.robosuite_factory import reseed
+from manip.sim.scene import Scene
+from manip.sim.sensors import Sensors
+from manip.sim.stock_reader import stock_reader
+from manip.tasks.door import Door
+from manip.tasks.lift import Lift
+from manip.tasks.scenes.reach import GOAL_HIGH, GOAL_LOW
+from manip.tasks.stack import Stack
 
 Array = np.ndarray
 
@@ -54,30 +54,30 @@ class Play(NamedTuple):
 @pytest.fixture(scope="module")
 def play(task: Task, scene: Scene) -> Play:
     engine, rng = BatchEngine(scene, WORLDS, threads=2), np.random.default_rng(0)
-    shape = (WORLDS, scene.handles.action_dim)
+    shape = (WORLDS, scene.layout.action_dim)
     start(task, engine, episode=0)
     random, scripted = [copy(engine)], []
     for _ in range(RANDOM_STEPS):
         engine.step(rng.uniform(-1, 1, shape))
         random.append(copy(engine))
-        remember(task, engine, np.arange(WORLDS))
+        update_memory(task, engine, np.arange(WORLDS))
     start(task, engine, episode=1)
     scripted.append(copy(engine))
     held = np.zeros(WORLDS, dtype=int)
     while held.min() < HELD_STEPS and len(scripted) <= task.horizon:
-        engine.step(task.script(task.measure(engine.read())))
+        engine.step(task.expert(task.measure(engine.read())))
         scripted.append(copy(engine))
-        remember(task, engine, np.arange(WORLDS))
+        update_memory(task, engine, np.arange(WORLDS))
         held = (held + 1) * task.success(task.measure(engine.read()))
     assert engine.broken_count == 0
     return Play(random, scripted)
 
 
 def start(task: Task, engine: BatchEngine, episode: int) -> None:
-    worlds = np.arange(engine.num_worlds)
+    worlds = np.arange(engine.num_envs)
     streams = EpisodeStreams(0, worlds, np.full_like(worlds, episode))
     engine.write(worlds, *task.sample_start(engine.scene, streams))
-    remember(task, engine, worlds)
+    update_memory(task, engine, worlds)
 
 
 def copy(engine: BatchEngine) -> Measures:
@@ -209,8 +209,8 @@ def test_stages_are_reached_under_their_names(
     task: Task, all_measures: list[Measures]
 ) -> None:
     for m in all_measures:
-        reached = task.reached(m)
-        assert tuple(reached) == task.stages
+        reached = task.milestones(m)
+        assert tuple(reached) == task.milestone_names
         assert {(v.dtype, v.shape) for v in reached.values()} == {
             (np.dtype(bool), (WORLDS,))
         }
@@ -218,7 +218,9 @@ def test_stages_are_reached_under_their_names(
 
 def test_success_is_the_last_stage(task: Task, all_measures: list[Measures]) -> None:
     found = np.array([task.success(m) for m in all_measures])
-    last = np.array([task.reached(m)[task.stages[-1]] for m in all_measures])
+    last = np.array(
+        [task.milestones(m)[task.milestone_names[-1]] for m in all_measures]
+    )
     np.testing.assert_array_equal(found, last)
     assert found.any()
     assert not found.all()
@@ -237,8 +239,8 @@ def test_the_script_solves_every_episode(task: Task, play: Play) -> None:
 
 
 def test_stages_come_in_order(task: Task, play: Play) -> None:
-    reached = [task.reached(task.measure(read)) for read in play.scripted]
-    flags = np.array([[at[stage] for stage in task.stages] for at in reached])
+    reached = [task.milestones(task.measure(read)) for read in play.scripted]
+    flags = np.array([[at[stage] for stage in task.milestone_names] for at in reached])
     assert flags.any(axis=0).all()
     first = flags.argmax(axis=0)
     assert (np.diff(first, axis=0) >= 0).all()
@@ -281,8 +283,8 @@ def test_starts_are_distributed_as_stocks(task: Task, scene: Scene) -> None:
 
 
 def test_arms_start_in_the_default_pose_with_noise(task: Task, scene: Scene) -> None:
-    joints = scene.handles.arm.qpos
-    noise = starts(task, scene, 500)[:, joints] - scene.handles.qpos[joints]
+    joints = scene.layout.arm.qpos
+    noise = starts(task, scene, 500)[:, joints] - scene.layout.qpos[joints]
     np.testing.assert_allclose(noise.mean(axis=0), 0, atol=0.004)
     np.testing.assert_allclose(noise.std(axis=0), 0.02, rtol=0.1)
     assert np.abs(np.corrcoef(noise.T) - np.eye(len(joints))).max() < 0.2

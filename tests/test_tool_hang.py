@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.rewards.compose import weighted_sum
-from manip.sim.reader import stock_reader
-from tasks.tool_hang import FINGERS, ToolHang
+from manip.sim.stock_reader import stock_reader
+from manip.tasks.tool_hang import FINGERS, ToolHang
 
 Array = np.ndarray
 
@@ -55,7 +55,7 @@ def test_it_stands_and_hangs_where_stock_says_so(stock: Any) -> None:
     assert ((share > 0.02) & (share < 0.98)).all()
 
 
-def look(stock: Any, frame, tool, at: Array, closing: float, touch: str = ""):
+def observe(stock: Any, frame, tool, at: Array, closing: float, touch: str = ""):
     """Measures with the gripper at `at`, which touches the `touch` from both sides."""
     put(stock, stand=UPRIGHT, frame=frame, tool=tool)
     task = ToolHang()
@@ -74,17 +74,17 @@ def test_it_pays_as_its_docstring_says_and_more_each_stage(stock: Any) -> None:
     above, half = ((place + (0.15 - z) * up, turn) for z in (0.0, 0.075))
     raised = ON_TABLE[0] + 0.1 * up, ON_TABLE[1]
     ms = [
-        look(stock, LYING, ON_TABLE, grip(LYING) + 0.2 * up, -1),
-        look(stock, LYING, ON_TABLE, grip(LYING), -1),
-        look(stock, LYING, ON_TABLE, grip(LYING), 1, "frame"),
-        look(stock, above, ON_TABLE, grip(above), 1, "frame"),
-        look(stock, half, ON_TABLE, grip(half), 1, "frame"),
-        look(stock, STANDING, ON_TABLE, grip(STANDING), 1, "frame"),
-        look(stock, STANDING, ON_TABLE, ON_TABLE[0], -1),
-        look(stock, STANDING, raised, raised[0], 1, "tool"),
-        look(stock, STANDING, HANGING, HANGING[0], 1, "tool"),
-        look(stock, STANDING, HANGING, HANGING[0], 0, "tool"),
-        look(stock, STANDING, HANGING, HANGING[0], -1),
+        observe(stock, LYING, ON_TABLE, grip(LYING) + 0.2 * up, -1),
+        observe(stock, LYING, ON_TABLE, grip(LYING), -1),
+        observe(stock, LYING, ON_TABLE, grip(LYING), 1, "frame"),
+        observe(stock, above, ON_TABLE, grip(above), 1, "frame"),
+        observe(stock, half, ON_TABLE, grip(half), 1, "frame"),
+        observe(stock, STANDING, ON_TABLE, grip(STANDING), 1, "frame"),
+        observe(stock, STANDING, ON_TABLE, ON_TABLE[0], -1),
+        observe(stock, STANDING, raised, raised[0], 1, "tool"),
+        observe(stock, STANDING, HANGING, HANGING[0], 1, "tool"),
+        observe(stock, STANDING, HANGING, HANGING[0], 0, "tool"),
+        observe(stock, STANDING, HANGING, HANGING[0], -1),
     ]
     task = ToolHang()
     terms = [task.reward_terms(m, "shaped") for m in ms]

@@ -22,12 +22,13 @@ from sameness import assert_same
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from manip.agents.policy import load_policy
-from manip.envs import native
-from manip.envs.registry import load_task, task_names
+from manip.envs.backends import native_batch as native
+from manip.envs.task_registry import load_task, task_names
 from manip.errors import UserError
+from manip.io.tensor_trees import load_tree, save_tree
 from manip.programs import cli, train
-from manip.sim.handles import Sensors
-from manip.sim.model import Scene, load_scene
+from manip.sim.scene import Scene, load_scene
+from manip.sim.sensors import Sensors
 from manip.training.build import policy_of
 from manip.training.config import (
     ALGORITHMS,
@@ -38,11 +39,10 @@ from manip.training.config import (
     recipes,
     to_dict,
 )
-from manip.training.leaving import Interruptible
-from manip.training.logs import MetricsTable, read_metrics
-from manip.training.loop import Trainer
+from manip.training.lifecycle import Interruptible
 from manip.training.progress import TrainingProgress
-from manip.trees import load_tree, save_tree
+from manip.training.run_logs import MetricsTable, read_metrics
+from manip.training.trainer import Trainer
 
 AGENTS = {
     "bc": {"rollout_length": 8, "batch_size": 32, "buffer_size": 160},
@@ -95,7 +95,7 @@ def tiny(algo: str, out: Path, **changes: Any) -> TrainConfig:
         "algo": algo,
         "out": str(out),
         "steps": 512,
-        "num_worlds": 4,
+        "num_envs": 4,
         "threads": 2,
         "horizon": 20,
         "eval_every": 192,
@@ -246,14 +246,16 @@ def test_learning_rates_fall_to_zero_in_the_last_share(tmp_path, monkeypatch) ->
 def test_the_policy_kept_is_the_best_evaluated_one(algo, finished) -> None:
     run = finished(algo)
     rows = read_metrics(run.folder / "metrics.csv")
-    best = max(rows, key=lambda r: (float(r["eval/held"]), float(r["eval/return"])))
+    best = max(
+        rows, key=lambda r: (float(r["eval/success_held"]), float(r["eval/return"]))
+    )
     policy, checkpoint = load_policy(run.folder), state_of(run.folder, "best")
     card = policy.card
     assert card.env_steps == int(best["env_steps"])
     assert checkpoint["progress"]["env_steps"] == card.env_steps
     assert_holds(checkpoint["modules"], policy.actor.body[-1].weight)
     assert (card.task, card.robot, card.algo) == ("Reach", "Panda", algo)
-    assert list(card.layout) == list(run.judge.worlds.layout)
+    assert list(card.layout) == list(run.judge.batch.layout)
 
 
 def test_evaluations_are_of_the_same_episodes(tmp_path: Path) -> None:
@@ -288,7 +290,7 @@ def test_the_number_of_threads_does_not_change_a_run(
 @by_algorithm
 def test_sixteen_worlds_give_the_same_run_twice(algo: str, tmp_path: Path) -> None:
     for name in ("first", "second"):
-        assert Trainer(tiny(algo, tmp_path / name, num_worlds=16, steps=2048)).run()
+        assert Trainer(tiny(algo, tmp_path / name, num_envs=16, steps=2048)).run()
     assert_equal_runs(tmp_path / "first", tmp_path / "second")
 
 
@@ -434,7 +436,7 @@ def test_a_checkpoint_that_does_not_fit_is_told_and_costs_nothing(
     ("change", "told"),
     [
         ({"seed": 1}, "seed was 0, not 1"),
-        ({"num_worlds": 3, "reward": "stock"}, "num_worlds was 4, not 3; reward was"),
+        ({"num_envs": 3, "reward": "stock"}, "num_envs was 4, not 3; reward was"),
         ({"agent": {"gamma": 0.5}}, "agent.gamma was 0.97, not 0.5"),
         ({"algo": "sac"}, "algo was 'ppo', not 'sac'"),
     ],
@@ -465,7 +467,7 @@ def test_a_run_folder_is_for_one_process_at_a_time(finished, tmp_path: Path) -> 
     holder = subprocess.Popen(
         [sys.executable, "-c", HOLD, config.folder], stdout=subprocess.PIPE, text=True
     )
-    assert holder.stdout.readline() == "held\n"
+    assert holder.stdout.readline() == "locked\n"
     told = f"is in use by process {holder.pid} on .*: wait for it, stop it, or"
     with pytest.raises(UserError, match=told):
         Trainer(replace(config, resume=True)).run()
@@ -478,9 +480,9 @@ def test_a_run_folder_is_for_one_process_at_a_time(finished, tmp_path: Path) -> 
 HOLD = """
 import sys, time
 from pathlib import Path
-from manip.training.leaving import locked
+from manip.training.lifecycle import locked
 with locked(Path(sys.argv[1])):
-    print("held", flush=True)
+    print("locked", flush=True)
     time.sleep(60)
 """
 
@@ -565,7 +567,7 @@ def test_faults_are_told_counted_and_kept_and_a_run_goes_on(
     config = tiny("ppo", tmp_path / "run")
     for updates in (1, None):
         trainer = Trainer(replace(config, resume=updates is None))
-        fall_ill(trainer.envs[0].worlds.task, 2)
+        fall_ill(trainer.envs[0].batch.task, 2)
         if updates:
             stop_after(trainer, updates)
         assert trainer.run() is (updates is None)
@@ -638,7 +640,7 @@ def wait_for_metrics(path: Path, process: subprocess.Popen[str]) -> None:
 
 def test_sigterm_saves_and_leaves_with_3_and_the_run_goes_on(tmp_path: Path) -> None:
     out = tmp_path / "run"
-    options = "--task Reach --algo ppo --num-worlds 4 --eval-every 64 --eval-episodes 1"
+    options = "--task Reach --algo ppo --num-envs 4 --eval-every 64 --eval-episodes 1"
     agent = "--agent.rollout-length 8 --agent.epochs 1 --agent.action-scale"
     command = [sys.executable, "-m", "manip.programs.main", "train", "--out", str(out)]
     process = subprocess.Popen(
@@ -697,7 +699,7 @@ def test_a_run_folder_is_named_after_what_is_trained() -> None:
 @pytest.mark.parametrize(
     ("values", "told"),
     [
-        ({"stepz": 1}, "unknown .*'stepz': did you mean 'steps'.*num_worlds"),
+        ({"stepz": 1}, "unknown .*'stepz': did you mean 'steps'.*num_envs"),
         ({"agent": {"gama": 1}}, "unknown SACConfig .*'gama': did you mean 'gamma'"),
         ({"algo": "ppo", "agent": {"tau": 1}}, "unknown PPOConfig option.*clip"),
         ({"algo": "ddqn"}, "unknown algorithm 'ddqn': did you mean 'dqn'.*sac"),
@@ -705,10 +707,10 @@ def test_a_run_folder_is_named_after_what_is_trained() -> None:
         ({"agent": 3}, "must be a mapping, not 3"),
         ({"steps": 0}, "steps must be at least 1, not 0"),
         ({"eval_every": -1}, "eval_every must be at least 1, not -1"),
-        ({"num_worlds": "four"}, "num_worlds must be a whole number, not 'four'"),
+        ({"num_envs": "four"}, "num_envs must be a whole number, not 'four'"),
         ({"agent": {"batch_size": 0}}, "batch_size must be at least 1, not 0"),
         ({"seed": -1}, "seed must be at least 0, not -1"),
-        ({"own_starts": 1.5}, "own_starts must be from 0 to 1, not 1.5"),
+        ({"restart_fraction": 1.5}, "restart_fraction must be from 0 to 1, not 1.5"),
         ({"cool_down": -1}, "cool_down must be from 0 to 1, not -1"),
         ({"algo": "ppo", "agent": {"clip": 1.5}}, "clip must be from 0 to 1, not 1.5"),
         ({"algo": "ppo-kl", "agent": {"beta": 0}}, "beta must be at least 1e-09"),
@@ -723,6 +725,6 @@ def test_wrong_options_are_told(values: dict[str, Any], told: str) -> None:
 def test_a_policy_is_what_the_agent_would_do(algo, finished) -> None:
     run = finished(algo)
     policy = policy_of(run.agent, run.config, run.judge, run.env_steps)
-    observation = run.judge.look()["observation"]
+    observation = run.judge.observe()["observation"]
     assert torch.equal(policy(observation), run.agent.actor.decide(observation))
     assert policy.card.observation_dim == observation.shape[1]

@@ -5,7 +5,7 @@ from typing import ClassVar
 import numpy as np
 
 from manip.envs.task import Start, Task
-from manip.sim.handles import Sensors
+from manip.sim.sensors import Sensors
 
 
 class Tiny(Task):
@@ -14,11 +14,11 @@ class Tiny(Task):
     robosuite_name = "Lift"
     sensors = Sensors()
     horizon = 8
-    stages = ("closed",)
+    milestone_names = ("closed",)
     weights: ClassVar = {"shaped": {"closing": 1.0}}
 
     def sample_start(self, scene, streams) -> Start:
-        return Start(np.tile(scene.handles.qpos, (len(streams), 1)))
+        return Start(np.tile(scene.layout.qpos, (len(streams), 1)))
 
     def measure(self, read):
         return read
@@ -32,7 +32,7 @@ class Tiny(Task):
     def success(self, m):
         return m["gripper_closing"] > 0.9
 
-    def reached(self, m):
+    def milestones(self, m):
         return {"closed": self.success(m)}
 
     def failure(self, m):

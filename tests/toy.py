@@ -19,8 +19,8 @@ from manip.agents.td3 import TD3Config
 from manip.agents.trpo import TRPOConfig
 from manip.evaluation.episodes import run_episodes
 from manip.training.build import AGENTS
+from manip.training.collector import Rollout
 from manip.training.config import AgentConfig
-from manip.training.rollout import Rollout
 
 SPACES = Spaces(observation_dim=1, action_dim=1)
 
@@ -108,7 +108,10 @@ class Points(EnvBase):
         self.reward_spec = Unbounded(one)
         flag = Binary(1, one, dtype=torch.bool)
         self.observation_spec = Composite(
-            observation=Unbounded(one), success=flag, stages=flag.clone(), shape=one[:1]
+            observation=Unbounded(one),
+            success=flag,
+            milestones=flag.clone(),
+            shape=one[:1],
         )
         ends = ("done", "terminated", "truncated")
         self.full_done_spec = Composite({e: flag.clone() for e in ends}, shape=one[:1])
@@ -136,7 +139,7 @@ class Points(EnvBase):
         entries = {
             "observation": self.x.clone(),
             "success": self.x.abs() < 0.1,
-            "stages": self.x > 0,
+            "milestones": self.x > 0,
             "terminated": torch.zeros_like(truncated),
             "truncated": truncated,
             "done": truncated.clone(),
@@ -169,7 +172,7 @@ def mean_return(agent: Agent) -> float:
 
 
 def rollout_of(agent: Agent, length: int = 12) -> TensorDictBase:
-    """Worlds whose episodes end at different times, within the rollout."""
+    """TaskBatch whose episodes end at different times, within the rollout."""
     return Rollout(Points([3, 5, 50, 50])).collect(agent.policy(), length).batch
 
 

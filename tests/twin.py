@@ -5,9 +5,9 @@ from collections.abc import Iterable
 import numpy as np
 
 from manip.envs.task import Task
-from manip.sim.engine import BatchEngine
-from manip.sim.reader import stock_reader
-from manip.sim.stock import reseed
+from manip.sim.batch_engine import BatchEngine
+from manip.sim.robosuite_factory import reseed
+from manip.sim.stock_reader import stock_reader
 
 RESYNCED = {
     "NutAssemblyRound": 5,
@@ -42,13 +42,13 @@ def copy_start(task: Task, engine: BatchEngine, worlds: Iterable[int]) -> None:
     rows = np.zeros(len(worlds), dtype=int)
     fields = {name: read[name][rows] for name in task.sensors.fields}
     engine.write(worlds, read["qpos"][rows], fields)
-    remember(task, engine, worlds)
+    update_memory(task, engine, worlds)
 
 
-def remember(task: Task, engine: BatchEngine, worlds: np.ndarray) -> None:
+def update_memory(task: Task, engine: BatchEngine, worlds: np.ndarray) -> None:
     """Let a task keep what it wants of the episodes of some worlds [n] int."""
-    kept = task.remember(task.measure(engine.read()))
-    engine.remember(worlds, {name: values[worlds] for name, values in kept.items()})
+    kept = task.update_memory(task.measure(engine.read()))
+    engine.write_memory(worlds, {name: values[worlds] for name, values in kept.items()})
 
 
 def copy_state(task: Task, engine: BatchEngine, worlds: Iterable[int]) -> None:

@@ -17,12 +17,12 @@ from robosuite.environments.manipulation.manipulation_env import ManipulationEnv
 from robosuite.models.arenas import TableArena
 from robosuite.models.tasks import ManipulationTask
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, ramp
-from manip.sim.handles import Sensors
-from manip.sim.model import Scene
-from tasks.arm import observe_arm, start_qpos
+from manip.sim.scene import Scene
+from manip.sim.sensors import Sensors
+from manip.tasks.arm import observe_arm, start_qpos
 
 Array = np.ndarray
 
@@ -89,7 +89,7 @@ class Press(Task):
         fields={"socket_place": ("body_pos", "socket")},
     )
     horizon = 60
-    stages = ("near", "press")
+    milestone_names = ("near", "press")
     weights: ClassVar[Weights] = {"shaped": {"near": 0.4, "press": 0.6}}
 
     def sample_start(self, scene: Scene, streams: EpisodeStreams) -> Start:
@@ -117,11 +117,11 @@ class Press(Task):
         """The button is more than 10 mm down."""
         return m["depth"] > DOWN
 
-    def reached(self, m: Measures) -> dict[str, Array]:
+    def milestones(self, m: Measures) -> dict[str, Array]:
         """near: tool within 8 cm of the button; press: success."""
         return {"near": m["distance"] < 0.08, "press": self.success(m)}
 
-    def script(self, m: Measures) -> Array:
+    def expert(self, m: Measures) -> Array:
         """Over the button, then down on it with closed fingers."""
         action = np.zeros((len(m["distance"]), 7))
         action[:, :3] = np.clip(20 * m["to_button"], -1, 1)

@@ -19,7 +19,7 @@ from torchrl.objectives.value import GAE
 
 from manip.agents.agent import Spaces
 from manip.agents.on_policy import OnPolicy, OnPolicyConfig, losses
-from manip.agents.returns import n_step_advantages
+from manip.agents.value_targets import n_step_advantages
 from manip.errors import UserError
 
 

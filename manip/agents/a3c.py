@@ -22,7 +22,7 @@ from tensordict.nn import TensorDictModuleBase
 from manip.agents.a2c import A2C, A2CConfig
 from manip.agents.agent import Spaces
 from manip.agents.on_policy import RolloutPolicy
-from manip.agents.returns import add_values
+from manip.agents.value_targets import add_values
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class A3C(A2C):
         copy.load(self)
         return Worker(copy)
 
-    def digest(
+    def process_rollout(
         self, policy: TensorDictModuleBase, batch: TensorDictBase
     ) -> TensorDictBase:
         """The gradient [P] of a worker's rollout, and what it has seen."""

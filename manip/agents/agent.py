@@ -44,7 +44,7 @@ class Agent(ABC):
         A copy, with random numbers of its own: it may act while the agent learns.
         """
 
-    def digest(
+    def process_rollout(
         self, policy: TensorDictModuleBase, batch: TensorDictBase
     ) -> TensorDictBase:
         """What `update` learns from: the policy's rollout [N, T], or findings in it.

@@ -31,7 +31,7 @@ from manip.agents.off_policy import descend
 # It has no targets, and does not say so.
 warnings.filterwarnings("ignore", "The name target_actor_network_params")
 
-KEYS = ("observation", "script")
+KEYS = ("observation", "expert_action")
 """What is kept of a step."""
 
 
@@ -66,7 +66,7 @@ class Demonstration(TensorDictModuleBase):
         clones: share of the worlds, the last ones, in which the clone acts.
     """
 
-    in_keys = ["observation", "script"]
+    in_keys = ["observation", "expert_action"]
     out_keys = ["action"]
 
     def __init__(
@@ -81,7 +81,7 @@ class Demonstration(TensorDictModuleBase):
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write `action` [N, A]."""
-        seen, wanted = tensordict["observation"], tensordict["script"]
+        seen, wanted = tensordict["observation"], tensordict["expert_action"]
         first = len(wanted) - round(self._clones * len(wanted))
         own = self._actor.decide(seen[first:])
         action = torch.cat([self._disturbed(wanted[:first]), own])
@@ -159,7 +159,7 @@ class BC(Agent):
     def load_extra_state(self, state: dict[str, Any]) -> None:
         """Refill the buffer in the same order."""
         if state["buffer"] is not None:
-            size = state["buffer"]["script"].shape[:1]
+            size = state["buffer"]["expert_action"].shape[:1]
             self._buffer.extend(TensorDict(state["buffer"], size))
         self._buffer.writer._cursor = state["cursor"]
         self._owed = state["owed"]
@@ -186,7 +186,7 @@ class _Decision(nn.Module):
 
 
 def _loss(actor: Actor) -> BCLoss:
-    module = TensorDictModule(_Decision(actor), ["observation"], ["script"])
+    module = TensorDictModule(_Decision(actor), ["observation"], ["expert_action"])
     loss = BCLoss(module, loss_function="l1")
-    loss.set_keys(action="script")
+    loss.set_keys(action="expert_action")
     return loss

@@ -15,7 +15,7 @@ from torchrl.modules import ValueOperator
 
 from manip.agents.agent import Agent, Spaces
 from manip.agents.networks import Actor, BinnedActor, mlp, seeded
-from manip.agents.returns import n_step_transitions
+from manip.agents.value_targets import n_step_transitions
 
 
 @dataclass(frozen=True)

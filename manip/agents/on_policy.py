@@ -14,9 +14,9 @@ from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
 from torchrl.objectives import LossModule
 
 from manip.agents.agent import Agent, Spaces
-from manip.agents.flat import flatten, zero_gradient
+from manip.agents.flat_parameters import flatten, zero_gradient
 from manip.agents.networks import Actor, RunningNorm, mlp, orthogonal, seeded
-from manip.agents.returns import add_values
+from manip.agents.value_targets import add_values
 
 Samples = TypeVar("Samples", Tensor, TensorDictBase)
 

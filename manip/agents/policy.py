@@ -16,16 +16,16 @@ from torch import Tensor
 
 from manip.agents.networks import Actor, BinnedActor
 from manip.errors import UserError, one_line
-from manip.files import write_text
-from manip.plain import build
-from manip.trees import load_tree, save_tree
+from manip.io.atomic_files import write_text
+from manip.io.dataclass_values import build
+from manip.io.tensor_trees import load_tree, save_tree
 
 FORMAT = 2
 """Version of the policy files; raised when they change incompatibly."""
 
 WEIGHTS, CARD = "policy.safetensors", "policy.json"
 
-SHIPPED = Path(str(files("assets"))) / "policies"
+SHIPPED = Path(str(files("manip.assets"))) / "policies"
 """Folder of the policies that are shipped, by their names."""
 
 

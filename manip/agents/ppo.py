@@ -17,8 +17,8 @@ from torchrl.objectives import ClipPPOLoss, PPOLoss
 from torchrl.objectives.value import GAE
 
 from manip.agents.agent import Spaces
+from manip.agents.native.ppo_gradients import Told, gradients_of, rows_of
 from manip.agents.on_policy import OnPolicy, OnPolicyConfig, minibatches
-from manip.agents.ppo_gradients import Told, gradients_of, rows_of
 
 
 @dataclass(frozen=True)

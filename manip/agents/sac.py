@@ -22,7 +22,8 @@ from torchrl.modules import ProbabilisticActor, TanhNormal
 from torchrl.objectives import SACLoss
 
 from manip.agents.agent import Spaces
-from manip.agents.flat import flatten
+from manip.agents.flat_parameters import flatten
+from manip.agents.native.sac_gradients import flatten_loss, sac_gradients
 from manip.agents.networks import Actor
 from manip.agents.off_policy import (
     OffPolicy,
@@ -30,7 +31,6 @@ from manip.agents.off_policy import (
     RolloutPolicy,
     critics_of,
 )
-from manip.agents.sac_gradients import flatten_loss, sac_gradients
 
 
 @dataclass(frozen=True)

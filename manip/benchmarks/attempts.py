@@ -11,9 +11,9 @@ from rich.progress import Progress
 from rich.table import Table
 
 from manip.evaluation.episodes import Policy
-from manip.evaluation.evaluate import stock_episodes
+from manip.evaluation.runners import stock_episodes
 from manip.evaluation.statistics import Rate, success_rate
-from manip.sim.stock import Rig
+from manip.sim.robot_config import RobotConfig
 
 GOAL = 0.95
 """Rate of held success at which a task counts as learned."""
@@ -26,19 +26,19 @@ class Attempt:
     Attributes:
         seconds: of wall time until `held` was reached, evaluation not counted.
         env_steps: control steps until then.
-        held: rate of success held at the end of an episode, in stock robosuite.
+        success_held: rate of success held at the end of an episode, in stock robosuite.
     """
 
     who: str
     seed: int
     seconds: float
     env_steps: int
-    held: Rate
+    success_held: Rate
 
     @property
     def reached(self) -> bool:
         """Whether the task counts as learned."""
-        return self.held.rate >= GOAL
+        return self.success_held.rate >= GOAL
 
     @property
     def time(self) -> float:
@@ -47,10 +47,14 @@ class Attempt:
 
     def plain(self) -> dict[str, Any]:
         """As JSON holds it: no time where the goal was missed."""
-        held = {"rate": self.held.rate, "low": self.held.low, "high": self.held.high}
+        held = {
+            "rate": self.success_held.rate,
+            "low": self.success_held.low,
+            "high": self.success_held.high,
+        }
         fields = {"who": self.who, "seed": self.seed, "env_steps": self.env_steps}
         times = {"seconds": self.seconds, "seconds_to_goal": finite(self.time)}
-        return {**fields, **times, "held": held}
+        return {**fields, **times, "success_held": held}
 
 
 def finite(value: float) -> float | None:
@@ -87,24 +91,31 @@ def _steps(attempts: Sequence[Attempt]) -> float | None:
     return finite(median(taken))
 
 
-def held_in_stock(task: str, policy: Policy, episodes: int, rig: Rig) -> Rate:
+def held_in_stock(task: str, policy: Policy, episodes: int, rig: RobotConfig) -> Rate:
     """Rate of held success in stock robosuite, episodes 0, 1, ...; shows progress."""
     with Progress(console=Console(stderr=True), transient=True) as bar:
         running = bar.add_task("stock robosuite", total=episodes)
         found = stock_episodes(
             task, policy, episodes, 0, rig, lambda n: bar.advance(running, n)
         )
-    return success_rate([episode.held for episode in found])
+    return success_rate([episode.success_held for episode in found])
 
 
 def table(task: str, attempts: Sequence[Attempt]) -> Table:
     """A row a seed."""
     shown = Table(title=f"{task}: wall time to {GOAL:.0%} held in stock robosuite")
     shown.add_column("who")
-    for column in ("seed", "seconds", "env steps", "held", "95 % interval", "goal"):
+    for column in (
+        "seed",
+        "seconds",
+        "env steps",
+        "success_held",
+        "95 % interval",
+        "goal",
+    ):
         shown.add_column(column, justify="right")
     for attempt in attempts:
-        held = attempt.held
+        held = attempt.success_held
         shown.add_row(
             attempt.who,
             str(attempt.seed),
@@ -123,5 +134,5 @@ def verdict(attempt: Attempt) -> str:
         return f"{attempt.who}: {attempt.seconds:,.0f} s, {attempt.env_steps:,} steps"
     return (
         f"{attempt.who}: not within {attempt.seconds / 60:.0f} min: "
-        f"{attempt.held.rate:.0%} held after {attempt.env_steps:,} steps"
+        f"{attempt.success_held.rate:.0%} held after {attempt.env_steps:,} steps"
     )

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from manip.cpus import usable_cpus
-from manip.files import write_text
+from manip.io.atomic_files import write_text
 from manip.versions import versions
 
 Contestant = Callable[[], float]

@@ -7,7 +7,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
-from manip.benchmarks.returns import NET, STEPS, WORLDS, Act, pendulum
+from manip.benchmarks.bench_returns import NET, STEPS, WORLDS, Act, pendulum
 
 KINDS = {"PPO": PPO, "SAC": SAC}
 OPTIONS: Mapping[str, dict[str, Any]] = {

@@ -12,9 +12,9 @@ from stable_baselines3.common.callbacks import BaseCallback
 from torch import nn
 
 from manip.benchmarks.attempts import GOAL, Attempt, held_in_stock
-from manip.envs.gymnasium import TaskEnv
+from manip.envs.adapters.gymnasium import TaskEnv
 from manip.evaluation.statistics import Rate
-from manip.sim.stock import Rig
+from manip.sim.robot_config import RobotConfig
 
 NAME = "SB3 SAC"
 
@@ -51,8 +51,8 @@ def learn(task: str, seed: int, cap: float, episodes: int) -> Attempt:
     judge = _Judge(task, cap, episodes)
     learner = SAC("MlpPolicy", stock_env(task), seed=seed, device="cpu", **OPTIONS)
     learner.learn(2**62, callback=judge, log_interval=None)
-    assert judge.held is not None
-    return Attempt(NAME, seed, judge.seconds, learner.num_timesteps, judge.held)
+    assert judge.success_held is not None
+    return Attempt(NAME, seed, judge.seconds, learner.num_timesteps, judge.success_held)
 
 
 class _Judge(BaseCallback):
@@ -75,21 +75,21 @@ class _Judge(BaseCallback):
         if self.seconds < self._due:
             return True
         stopped = time.monotonic()
-        self.held = self._evaluate()
+        self.success_held = self._evaluate()
         self._say(stopped - self._began)
         self._began += time.monotonic() - stopped
         self._due += self._every
-        return self.held.rate < GOAL and self.seconds < self._cap
+        return self.success_held.rate < GOAL and self.seconds < self._cap
 
     def _evaluate(self) -> Rate:
         actor = self.model.policy.actor
         policy = deepcopy(nn.Sequential(actor.latent_pi, actor.mu, nn.Tanh()))
-        return held_in_stock(self._task, policy, self._episodes, Rig())
+        return held_in_stock(self._task, policy, self._episodes, RobotConfig())
 
     def _say(self, seconds: float) -> None:
-        assert self.held is not None
+        assert self.success_held is not None
         Console(stderr=True).print(
             f"step {self.num_timesteps:>9,}  {seconds:6.0f} s  "
-            f"held {self.held.rate:4.0%}",
+            f"held {self.success_held.rate:4.0%}",
             highlight=False,
         )

@@ -7,16 +7,16 @@ whoever only steps the engine does not wait for it.
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from manip.envs.registry import load_task, task_names
 from manip.envs.task import Task
+from manip.envs.task_registry import load_task, task_names
 
 if TYPE_CHECKING:
-    from manip.envs.torchrl import NativeEnv, StockEnv
+    from manip.envs.adapters.torchrl import NativeEnv, StockEnv
 
 __all__ = ["NativeEnv", "StockEnv", "Task", "load_task", "task_names"]
 
 
 def __getattr__(name: str) -> Any:
     if name in ("NativeEnv", "StockEnv"):
-        return getattr(importlib.import_module("manip.envs.torchrl"), name)
+        return getattr(importlib.import_module("manip.envs.adapters.torchrl"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

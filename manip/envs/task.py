@@ -10,10 +10,10 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from manip.envs.streams import EpisodeStreams
+from manip.envs.episode_streams import EpisodeStreams
 from manip.errors import UserError
-from manip.sim.handles import Sensors
-from manip.sim.model import Scene
+from manip.sim.scene import Scene
+from manip.sim.sensors import Sensors
 
 Array = np.ndarray
 Measures = Mapping[str, Array]
@@ -39,14 +39,14 @@ class Task(ABC):
         horizon: length of an episode [control steps].
         weights: reward set -> term -> weight; "shaped" pays in [0, 1] per step,
             "stock" equals robosuite's shaped reward.
-        stages: names of the milestones towards success, in order.
+        milestone_names: the milestones towards success, in order.
     """
 
     robosuite_name: ClassVar[str]
     sensors: ClassVar[Sensors]
     horizon: ClassVar[int]
     weights: ClassVar[Weights]
-    stages: ClassVar[tuple[str, ...]]
+    milestone_names: ClassVar[tuple[str, ...]]
 
     @abstractmethod
     def sample_start(self, scene: Scene, streams: EpisodeStreams) -> Start:
@@ -69,10 +69,10 @@ class Task(ABC):
         """[N] bool: the goal holds now."""
 
     @abstractmethod
-    def reached(self, m: Measures) -> dict[str, Array]:
+    def milestones(self, m: Measures) -> dict[str, Array]:
         """Stage name -> [N] bool: the milestone holds now."""
 
-    def remember(self, m: Measures) -> Mapping[str, Array]:
+    def update_memory(self, m: Measures) -> Mapping[str, Array]:
         """What to keep of the episode: names of sensors.memory -> [N, k].
 
         Asked as an episode begins and after each step; later readings hold it, which
@@ -84,7 +84,7 @@ class Task(ABC):
         """[N] bool: the episode ends here, without a future (default: never)."""
         return np.zeros(len(m["joint_pos"]), bool)
 
-    def script(self, m: Measures) -> Array:
+    def expert(self, m: Measures) -> Array:
         """[N, A] in [-1, 1]: what solves the task, by OSC_POSE (default: nothing does).
 
         Worth writing: it proves that the task can be solved, and `--algo bc` clones it.

@@ -20,29 +20,29 @@ Policy = Callable[[Tensor], Tensor]
 class Episode:
     """What became of one episode.
 
-    once, at_end, held: whether success was true ever, at the last step, and in the
-    last ten steps. stages: whether each milestone was ever reached. first_success:
+    success_once, success_at_end, held: whether success was true ever, at the last step, and in the
+    last ten steps. milestones: whether each milestone was ever reached. first_success:
     the step of the first success, counted from 1, if any.
     """
 
     world: int
     steps: int
     total_reward: float
-    once: bool
-    at_end: bool
-    held: bool
+    success_once: bool
+    success_at_end: bool
+    success_held: bool
     first_success: int | None
-    stages: tuple[bool, ...]
+    milestones: tuple[bool, ...]
 
 
 class EpisodeTracker:
     """Follows N worlds and reports the episodes that end."""
 
-    def __init__(self, num_worlds: int) -> None:
-        self._steps = torch.zeros(num_worlds, dtype=torch.int64)
-        self._reward = torch.zeros(num_worlds)
-        self._streak = torch.zeros(num_worlds, dtype=torch.int64)
-        self._first = torch.zeros(num_worlds, dtype=torch.int64)
+    def __init__(self, num_envs: int) -> None:
+        self._steps = torch.zeros(num_envs, dtype=torch.int64)
+        self._reward = torch.zeros(num_envs)
+        self._streak = torch.zeros(num_envs, dtype=torch.int64)
+        self._first = torch.zeros(num_envs, dtype=torch.int64)
         self._stages: Tensor | None = None
 
     def update(self, after: TensorDictBase) -> list[Episode]:
@@ -54,8 +54,8 @@ class EpisodeTracker:
         self._first = torch.where(
             success & (self._first == 0), self._steps, self._first
         )
-        stages = after["stages"]
-        self._stages = stages if self._stages is None else self._stages | stages
+        milestones = after["milestones"]
+        self._stages = milestones if self._stages is None else self._stages | milestones
         ended = torch.nonzero(done).squeeze(-1).tolist()
         episodes = [self._episode(world) for world in ended]
         for world in ended:
@@ -65,13 +65,13 @@ class EpisodeTracker:
     def save_state(self) -> dict[str, Any]:
         """What is known of the episodes under way."""
         counters = [counter.clone() for counter in self._counters()]
-        return {"counters": counters, "stages": self._stages}
+        return {"counters": counters, "milestones": self._stages}
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Put back what `save_state` gave."""
         for counter, saved in zip(self._counters(), state["counters"], strict=True):
             counter.copy_(saved)
-        self._stages = state["stages"]
+        self._stages = state["milestones"]
 
     def _counters(self) -> tuple[Tensor, ...]:
         return self._steps, self._reward, self._streak, self._first
@@ -83,11 +83,11 @@ class EpisodeTracker:
             world=world,
             steps=int(self._steps[world]),
             total_reward=float(self._reward[world]),
-            once=first > 0,
-            at_end=streak > 0,
-            held=streak >= HELD_STEPS,
+            success_once=first > 0,
+            success_at_end=streak > 0,
+            success_held=streak >= HELD_STEPS,
             first_success=first or None,
-            stages=tuple(self._stages[world].tolist()),
+            milestones=tuple(self._stages[world].tolist()),
         )
 
     def _forget(self, world: int) -> None:

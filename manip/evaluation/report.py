@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from manip.envs.others import library_of
+from manip.envs.backends.external_batch import library_of
 from manip.evaluation.episodes import Episode
 from manip.evaluation.statistics import Rate, success_rate
 
@@ -17,8 +17,8 @@ from manip.evaluation.statistics import Rate, success_rate
 class Evaluation:
     """The result of an evaluation; `to_json` is what `eval.json` holds.
 
-    success: {once, at_end, held} -> rate with its Wilson 95 % interval.
-    return_mean: mean sum of shaped rewards an episode. stages: milestone -> share of
+    success: {once, success_at_end, held} -> rate with its Wilson 95 % interval.
+    return_mean: mean sum of shaped rewards an episode. milestones: milestone -> share of
     episodes that reached it. first_success_median: control steps, if any succeeded.
     seconds: wall time of the evaluation.
     """
@@ -33,7 +33,7 @@ class Evaluation:
     env_steps_trained: int
     success: dict[str, Rate]
     return_mean: float
-    stages: dict[str, float]
+    milestones: dict[str, float]
     first_success_median: float | None
     seconds: float
     versions: dict[str, str]
@@ -43,17 +43,17 @@ class Evaluation:
         return json.dumps(asdict(self), indent=2) + "\n"
 
 
-def summarise(episodes: Sequence[Episode], stages: Sequence[str]) -> dict[str, Any]:
+def summarise(episodes: Sequence[Episode], milestones: Sequence[str]) -> dict[str, Any]:
     """The statistics of an `Evaluation`, under the names of its fields."""
-    reached = np.array([episode.stages for episode in episodes]).mean(0)
+    reached = np.array([episode.milestones for episode in episodes]).mean(0)
     first = [e.first_success for e in episodes if e.first_success is not None]
     return {
         "success": {
             kind: success_rate([getattr(episode, kind) for episode in episodes])
-            for kind in ("once", "at_end", "held")
+            for kind in ("success_once", "success_at_end", "success_held")
         },
         "return_mean": float(np.mean([e.total_reward for e in episodes])),
-        "stages": dict(zip(stages, map(float, reached), strict=True)),
+        "milestones": dict(zip(milestones, map(float, reached), strict=True)),
         "first_success_median": float(np.median(first)) if first else None,
     }
 
@@ -69,7 +69,7 @@ def table(result: Evaluation) -> Table:
     for kind, rate in result.success.items():
         interval = f"{rate.low:.1%} - {rate.high:.1%}"
         shown.add_row(f"success {kind.replace('_', ' ')}", f"{rate.rate:.1%}", interval)
-    for stage, share in result.stages.items():
+    for stage, share in result.milestones.items():
         shown.add_row(f"reached {stage}", f"{share:.1%}", "")
     shown.add_row("mean return", f"{result.return_mean:.1f}", "")
     if result.first_success_median is not None:

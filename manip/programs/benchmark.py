@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from manip.benchmarks.contest import Settings, hold, save, show
-from manip.envs.registry import load_task
+from manip.envs.task_registry import load_task
 from manip.errors import UserError, at_least
 from manip.programs import benchmark_task, cli
 
@@ -32,22 +32,20 @@ class Benchmark:
     returns: PPO and SAC on Pendulum-v1 beside Stable-Baselines3's, a seed a round (see
     `make peers`).
 
-    neighbour: EnvPool's PandaPickCube beside us (see `make peers`).
+    envpool: EnvPool's PandaPickCube beside us (see `make peers`).
 
     task: wall time until a task is learned; see `manip benchmark task --help`.
     """
 
     what: Annotated[
-        Literal[
-            "engine", "env", "startup", "scaling", "learner", "returns", "neighbour"
-        ],
+        Literal["engine", "env", "startup", "scaling", "learner", "returns", "envpool"],
         tyro.conf.Positional,
     ]
     """Which benchmark."""
     task: str = "Lift"
     """Task that is simulated."""
     worlds: int = 64
-    """Worlds side by side."""
+    """TaskBatch side by side."""
     rounds: int = 7
     """Rounds that all contestants run."""
     json: Path | None = None
@@ -64,7 +62,7 @@ def main(arguments: Sequence[str]) -> int:
     for name in ("worlds", "rounds"):
         at_least(1, f"--{name}", getattr(options, name))
     load_task(options.task)
-    benchmark = importlib.import_module(f"manip.benchmarks.{options.what}")
+    benchmark = importlib.import_module(f"manip.benchmarks.bench_{options.what}")
     if options.plot and not hasattr(benchmark, "plot"):
         raise UserError(f"--plot draws `scaling` only, not {options.what!r}")
     settings = Settings(options.task, options.worlds, options.rounds)

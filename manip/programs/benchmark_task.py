@@ -8,12 +8,12 @@ from pathlib import Path
 from rich.console import Console
 
 from manip.benchmarks.attempts import Attempt, figures, median_time, table, verdict
+from manip.benchmarks.bench_task import ours, peers
 from manip.benchmarks.peers import peer
-from manip.benchmarks.task import ours, peers
 from manip.cpus import usable_cpus
-from manip.envs.registry import load_task
+from manip.envs.task_registry import load_task
 from manip.errors import UserError, at_least
-from manip.files import write_text
+from manip.io.atomic_files import write_text
 from manip.programs import cli
 from manip.versions import versions
 

@@ -10,16 +10,16 @@ from rich.console import Console
 from rich.table import Table
 
 from manip.errors import UserError
-from manip.evaluation.plot import plot_learning_curve
+from manip.evaluation.learning_curve import plot_learning_curve
 from manip.evaluation.report import Evaluation, table
-from manip.files import write_text
+from manip.io.atomic_files import write_text
 from manip.programs import cli
 from manip.programs.evaluate import Evaluate, evaluate
 from manip.programs.render import Render, film
 from manip.training.checkpoint import Checkpoints
 from manip.training.config import recipe
-from manip.training.logs import read_metrics
-from manip.training.loop import Trainer
+from manip.training.run_logs import read_metrics
+from manip.training.trainer import Trainer
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def _unfinished(folder: Path, steps: int) -> bool:
 def _summary(folder: Path, trainer: Trainer, result: Evaluation) -> Table:
     shown = Table(title="demo", title_style="bold", show_header=False)
     minutes, seconds = divmod(round(trainer.seconds), 60)
-    held = result.success["held"]
+    held = result.success["success_held"]
     shown.add_row(
         "trained", f"{trainer.env_steps:,} steps in {minutes}:{seconds:02} min"
     )

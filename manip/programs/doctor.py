@@ -47,7 +47,7 @@ suite.load("cartpole", "swingup").reset()
 print("cartpole swingup runs")
 """
 _ROBOSUITE = """
-from manip.sim.stock import make_stock
+from manip.sim.robosuite_factory import make_stock
 make_stock("Lift").reset()
 print("Lift with a Panda runs")
 """

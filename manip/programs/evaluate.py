@@ -11,16 +11,16 @@ from rich.console import Console
 from rich.progress import Progress
 
 from manip.agents.policy import Policy, load_policy
-from manip.envs.others import library_of
-from manip.envs.registry import check_origin, load_task
+from manip.envs.backends.external_batch import library_of
+from manip.envs.task_registry import check_origin, load_task
 from manip.errors import at_least
 from manip.evaluation.episodes import Episode
-from manip.evaluation.evaluate import Where, native_episodes, stock_episodes, timed
 from manip.evaluation.report import Evaluation, summarise, table
-from manip.files import write_text
+from manip.evaluation.runners import Where, native_episodes, stock_episodes, timed
+from manip.io.atomic_files import write_text
 from manip.programs import cli
-from manip.sim.model import Fidelity
-from manip.sim.stock import Rig
+from manip.sim.robot_config import RobotConfig
+from manip.sim.scene import Fidelity
 from manip.versions import versions
 
 
@@ -75,7 +75,7 @@ def evaluate(options: Evaluate) -> Evaluation:
         episodes=options.episodes,
         seed=options.seed,
         env_steps_trained=card.env_steps,
-        **summarise(episodes, task.stages),
+        **summarise(episodes, task.milestone_names),
         seconds=seconds,
         versions=versions(),
     )
@@ -83,7 +83,7 @@ def evaluate(options: Evaluate) -> Evaluation:
 
 def _episodes(options: Evaluate, policy: Policy) -> Sequence[Episode]:
     card = policy.card
-    rig = Rig(card.robot, card.controller, card.control_freq)
+    rig = RobotConfig(card.robot, card.controller, card.control_freq)
     asked = (card.task, policy, options.episodes, options.seed)
     if options.env == "native":
         return native_episodes(*asked, rig, options.fidelity, card.layout)

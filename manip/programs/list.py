@@ -8,10 +8,10 @@ from rich.console import Console
 from rich.table import Table
 
 from manip.agents.policy import shipped_policies
-from manip.envs.others import other_names
-from manip.envs.registry import task_names
+from manip.envs.backends.external_batch import external_names
+from manip.envs.task_registry import task_names
 from manip.programs import cli
-from manip.sim.stock import CONTROLLERS, ROBOTS
+from manip.sim.robot_config import CONTROLLERS, ROBOTS
 from manip.training.config import ALGORITHMS, recipe_names
 
 
@@ -41,7 +41,7 @@ def catalogue() -> dict[str, list[str]]:
     """Kind -> names of all that exists."""
     return {
         "tasks": task_names(),
-        "other_tasks": other_names(),
+        "external_tasks": external_names(),
         "robots": list(ROBOTS),
         "algorithms": list(ALGORITHMS),
         "action_spaces": list(CONTROLLERS),

@@ -10,12 +10,13 @@ import tyro
 from tensordict import TensorDictBase
 
 from manip.agents.policy import load_policy
-from manip.envs.registry import check_origin, load_task
-from manip.envs.torchrl import NativeEnv
+from manip.envs.adapters.torchrl import NativeEnv
+from manip.envs.task_registry import check_origin, load_task
 from manip.errors import at_least
 from manip.evaluation.episodes import run_episodes
+from manip.io.video import Caption, save_animation
 from manip.programs import cli
-from manip.sim.render import WORKSPACE, Caption, render_frames, save_animation
+from manip.sim.renderer import WORKSPACE, render_frames
 
 Array = np.ndarray
 
@@ -67,7 +68,7 @@ def film(options: Render) -> None:
         control_freq=card.control_freq,
         seed=options.seed,
     )
-    env.worlds.check_layout(card.layout)
+    env.batch.check_layout(card.layout)
     recorder = Recorder(env)
     run_episodes(env, policy, options.episodes, watch=recorder)
     frames = recorder.frames(options)
@@ -78,7 +79,7 @@ class Recorder:
     """Keeps the worlds' states as they pass, and draws them afterwards."""
 
     def __init__(self, env: NativeEnv) -> None:
-        self._worlds = env.worlds
+        self._worlds = env.batch
         self._states: list[Array] = []
         self._success: list[Array] = []
 
@@ -91,7 +92,7 @@ class Recorder:
         """Pictures [H, W, 3] uint8 of all episodes, one after the other."""
         states = np.stack(self._states)[: options.steps]
         success = np.stack(self._success)[: options.steps]
-        for world in range(self._worlds.num_worlds):
+        for world in range(self._worlds.num_envs):
             captions = [
                 Caption(_words(world, step, bool(done)), bool(done))
                 for step, done in enumerate(success[:, world])

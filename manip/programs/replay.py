@@ -10,13 +10,13 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from manip.envs.backends.native_batch import DUMP_FORMAT, NativeBatch
 from manip.envs.faults import Fault
-from manip.envs.native import DUMP_FORMAT, NativeWorlds
-from manip.envs.registry import check_origin, load_task
+from manip.envs.task_registry import check_origin, load_task
 from manip.errors import UserError, one_line
+from manip.io.tensor_trees import load_tree
 from manip.programs import cli
-from manip.sim.engine import Snapshot
-from manip.trees import load_tree
+from manip.sim.batch_engine import Snapshot
 
 RIG = ("robot", "controller", "control_freq", "fidelity")
 """What a dump says of its arm and physics; nothing else of it becomes an option."""
@@ -61,17 +61,17 @@ def main(arguments: Sequence[str]) -> int:
     return 1 if worlds.faults else 0
 
 
-def _world(dump: dict[str, Any]) -> NativeWorlds:
+def _world(dump: dict[str, Any]) -> NativeBatch:
     """The one world, as it was before the step."""
     task, rig = load_task(dump["task"]), dump["rig"]
     options = {name: rig[name] for name in RIG} | {"reward": dump["reward"]}
-    worlds = NativeWorlds(task, 1, **options, threads=1)
+    worlds = NativeBatch(task, 1, **options, threads=1)
     worlds.begin(np.zeros(1, int))
     worlds.engine.restore(Snapshot(dump["state"][None], dump["readings"][None]))
     return worlds
 
 
-def _motion(worlds: NativeWorlds) -> dict[str, tuple[float, float]]:
+def _motion(worlds: NativeBatch) -> dict[str, tuple[float, float]]:
     """Joint -> its first coordinate and the largest of its velocities."""
     model, state = worlds.scene.physics, worlds.engine.states[0]
     joints = [model.joint(i) for i in range(model.njnt)]

@@ -11,8 +11,8 @@ from rich.console import Console
 
 from manip.agents.policy import SHIPPED, PolicyCard, load_policy, shipped_policies
 from manip.cpus import machine
-from manip.errors import UserError, at_least, unknown
-from manip.evaluation.results import (
+from manip.errors import UserError, at_least, check_choice, unknown
+from manip.evaluation.shipped_results import (
     RESULTS,
     Key,
     Result,
@@ -21,14 +21,14 @@ from manip.evaluation.results import (
     load_results,
     percent,
 )
-from manip.files import write_text
+from manip.io.atomic_files import write_text
 from manip.programs import cli
 from manip.programs.evaluate import Evaluate, evaluate
 from manip.programs.results import table
-from manip.sim.stock import ROBOTS, check_choice
+from manip.sim.robot_config import ROBOTS
 from manip.training.build import imitates
 from manip.training.config import TrainConfig, recipes
-from manip.training.loop import Trainer, begin_or_resume
+from manip.training.trainer import Trainer, begin_or_resume
 from manip.versions import versions
 
 STOPPED = 3
@@ -137,7 +137,7 @@ def _judged(trainer: Trainer, episodes: int) -> Run:
     judged = evaluate(Evaluate(trainer.folder, "stock", episodes))
     return Run(
         seed=trainer.config.seed,
-        held=round(judged.success["held"].rate * episodes),
+        success_held=round(judged.success["success_held"].rate * episodes),
         episodes=episodes,
         env_steps=trainer.env_steps,
         minutes=round(trainer.seconds / 60, 1),

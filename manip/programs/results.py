@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from manip.errors import UserError
-from manip.evaluation.results import (
+from manip.evaluation.shipped_results import (
     HEADER,
     Result,
     Results,
@@ -17,7 +17,7 @@ from manip.evaluation.results import (
     markdown,
     rows,
 )
-from manip.files import write_text
+from manip.io.atomic_files import write_text
 from manip.programs import cli
 
 BEGIN = "<!-- results: written by `manip results --readme README.md` -->\n"

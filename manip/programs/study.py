@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal
 import tyro
 from rich.console import Console
 
-from manip.envs.registry import load_task
+from manip.envs.task_registry import load_task
 from manip.errors import UserError, at_least
-from manip.files import write_text
+from manip.io.atomic_files import write_text
 from manip.programs import cli
 from manip.studies import figures
 from manip.studies.gradients import Found, measure

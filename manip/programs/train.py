@@ -9,13 +9,13 @@ from pathlib import Path
 
 import tyro
 
-from manip.envs.others import OtherTask
-from manip.envs.registry import check_origin, load_task
-from manip.errors import UserError, unknown
+from manip.envs.backends.external_batch import ExternalTask
+from manip.envs.task_registry import check_origin, load_task
+from manip.errors import UserError, check_choice, unknown
 from manip.programs import cli
-from manip.sim.stock import ROBOTS, check_choice
+from manip.sim.robot_config import ROBOTS
 from manip.training.config import ALGORITHMS, TrainConfig, recipe, recorded
-from manip.training.loop import Trainer
+from manip.training.trainer import Trainer
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ def main(arguments: Sequence[str]) -> int:
     config = cli.parse(TrainConfig, arguments, "manip train", _defaults(arguments))
     task = load_task(config.task)
     check_choice("robot", config.robot, ROBOTS)
-    if isinstance(task, OtherTask):
+    if isinstance(task, ExternalTask):
         print(f"manip: {task.notice}", file=sys.stderr)
     finished = Trainer(config).run()
     if finished:

@@ -106,7 +106,7 @@ def _thousands(row: Found | Evaluated) -> float:
 
 
 def _percent(row: Evaluated) -> float:
-    return 100 * row.held
+    return 100 * row.success_held
 
 
 def _n(row: Found) -> float:

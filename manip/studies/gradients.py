@@ -27,17 +27,17 @@ from torchrl.envs import EnvBase
 from torchrl.objectives.value import GAE
 
 from manip.agents.a2c import A2C, A2CConfig
-from manip.agents.returns import add_values, n_step_advantages
+from manip.agents.value_targets import add_values, n_step_advantages
 from manip.errors import UserError
 from manip.training.build import build_agent, training_envs
+from manip.training.collector import Rollout
 from manip.training.config import TrainConfig, recipe
-from manip.training.rollout import Rollout
 
 NS = (1, 2, 4, 8, 16, 32)
 """Numbers of steps that are compared."""
 
 WORLDS = 32
-"""Worlds of a rollout: noise is in inverse proportion to their number."""
+"""TaskBatch of a rollout: noise is in inverse proportion to their number."""
 LEARNING_RATE = 2e-3
 """Of the A2C that is looked at; the rest is as its recipe has it."""
 
@@ -77,7 +77,7 @@ def measure(
     """
     config = _config(task, seed, gamma)
     (env,) = training_envs(config)
-    _check_length(length, env.worlds.horizon)
+    _check_length(length, env.batch.horizon)
     agent = build_agent(config, env)
     assert isinstance(agent, A2C)
     rollout, steps = Rollout(env), 0
@@ -86,7 +86,7 @@ def measure(
             found = rollout.collect(agent.policy(), agent.rollout_length)
             steps += found.steps
             agent.update(found.batch)
-        gradients = _sample(agent, env, rollouts, env.worlds.horizon, length)
+        gradients = _sample(agent, env, rollouts, env.batch.horizon, length)
         rollout = Rollout(env)
         reference = gradients[BASELINE]
         yield [
@@ -99,7 +99,7 @@ def _config(task: str, seed: int, gamma: float) -> TrainConfig:
     tuned = recipe(task, "a2c")
     assert isinstance(tuned.agent, A2CConfig)
     options = replace(tuned.agent, gamma=gamma, learning_rate=LEARNING_RATE)
-    return replace(tuned, seed=seed, num_worlds=WORLDS, agent=options)
+    return replace(tuned, seed=seed, num_envs=WORLDS, agent=options)
 
 
 def _check_length(length: int, horizon: int) -> None:

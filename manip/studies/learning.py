@@ -8,8 +8,8 @@ from pathlib import Path
 from manip.agents.ppo import PPOConfig
 from manip.errors import UserError
 from manip.training.config import TrainConfig, recipe, recorded
-from manip.training.logs import read_metrics
-from manip.training.loop import begin_or_resume
+from manip.training.run_logs import read_metrics
+from manip.training.trainer import begin_or_resume
 
 EPOCHS = (1, 5, 20)
 CLIPS = (0.2, None)
@@ -27,7 +27,7 @@ class Evaluated:
     seed: int
     env_steps: int
     cpu_seconds: float
-    held: float
+    success_held: float
     kl: float
 
 
@@ -112,7 +112,7 @@ def _read(run: TrainConfig, variant: str) -> list[Evaluated]:
                 run.seed,
                 int(row["env_steps"]),
                 float(row["cpu_seconds"]),
-                float(row["eval/held"]),
+                float(row["eval/success_held"]),
                 float(row.get("learn/kl") or math.nan),
             )
             for row in read_metrics(path)

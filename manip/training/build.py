@@ -19,9 +19,9 @@ from manip.agents.sac import SAC, SACConfig
 from manip.agents.td3 import TD3, TD3Config
 from manip.agents.trpo import TRPO, TRPOConfig
 from manip.cpus import usable_cpus
-from manip.envs.others import OtherTask
-from manip.envs.registry import load_task
-from manip.envs.torchrl import NativeEnv, OtherEnv, TaskEnv
+from manip.envs.adapters.torchrl import ExternalEnv, NativeEnv, TaskEnv
+from manip.envs.backends.external_batch import ExternalTask
+from manip.envs.task_registry import load_task
 from manip.errors import UserError
 from manip.training.config import TrainConfig
 from manip.versions import versions
@@ -47,7 +47,7 @@ WORKER_SEED = 10_000_000
 """Added to a run's seed for each worker after the first: episodes of its own."""
 
 
-def training_envs(config: TrainConfig) -> list[NativeEnv | OtherEnv]:
+def training_envs(config: TrainConfig) -> list[NativeEnv | ExternalEnv]:
     """The worlds that a run learns from: a share of them for each of its workers.
 
     Raises:
@@ -60,9 +60,9 @@ def training_envs(config: TrainConfig) -> list[NativeEnv | OtherEnv]:
             f"algorithm than {config.algo}"
         )
     workers = getattr(config.agent, "workers", 1)
-    if config.num_worlds % workers:
+    if config.num_envs % workers:
         raise UserError(
-            f"num_worlds is {config.num_worlds}, which {workers} workers cannot share "
+            f"num_envs is {config.num_envs}, which {workers} workers cannot share "
             "evenly"
         )
     return [_training_env(config, worker, workers) for worker in range(workers)]
@@ -75,38 +75,38 @@ def imitates(config: TrainConfig) -> bool:
 
 def _training_env(
     config: TrainConfig, worker: int, workers: int
-) -> NativeEnv | OtherEnv:
+) -> NativeEnv | ExternalEnv:
     env = _env(
         config,
-        config.num_worlds // workers,
-        script=imitates(config),
+        config.num_envs // workers,
+        expert=imitates(config),
         fidelity=config.fidelity,
         threads=max(1, share_threads(config)[0] // workers),
         horizon=config.horizon,
         reward=config.reward,
         seed=config.seed + worker * WORKER_SEED,
         stagger=True,
-        own_starts=config.own_starts,
+        restart_fraction=config.restart_fraction,
     )
-    env.worlds.stop_at_faults = config.faults == "stop"
+    env.batch.stop_at_faults = config.faults == "stop"
     return env
 
 
-def evaluation_env(config: TrainConfig) -> NativeEnv | OtherEnv:
+def evaluation_env(config: TrainConfig) -> NativeEnv | ExternalEnv:
     """The worlds that a run is judged in: exact physics, the task's own horizon."""
     seed = config.seed + EVAL_SEED
     return _env(config, config.eval_episodes, threads=config.threads, seed=seed)
 
 
-def _env(config: TrainConfig, worlds: int, **options: Any) -> NativeEnv | OtherEnv:
+def _env(config: TrainConfig, worlds: int, **options: Any) -> NativeEnv | ExternalEnv:
     task = load_task(config.task)
     options |= {
         "robot": config.robot,
         "controller": config.controller,
         "control_freq": config.control_freq,
     }
-    if isinstance(task, OtherTask):
-        return OtherEnv(task, worlds, **options)
+    if isinstance(task, ExternalTask):
+        return ExternalEnv(task, worlds, **options)
     return NativeEnv(task, worlds, dumps=config.folder / "dumps", **options)
 
 
@@ -128,7 +128,7 @@ def build_agent(config: TrainConfig, env: TaskEnv) -> Agent:
 def _check_reference(folder: str, config: TrainConfig, env: TaskEnv) -> None:
     """A reference acts where the run does: it sees and moves the same."""
     card = load_policy(folder).card
-    env.worlds.check_layout(card.layout)
+    env.batch.check_layout(card.layout)
     for name in ("robot", "controller", "control_freq"):
         theirs, mine = getattr(card, name), getattr(config, name)
         if theirs != mine:
@@ -157,7 +157,7 @@ def share_threads(config: TrainConfig) -> tuple[int, int]:
 
 def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Policy:
     """The agent's policy as it is now, with all that an evaluator needs."""
-    layout = env.worlds.layout
+    layout = env.batch.layout
     card = PolicyCard(
         task=config.task,
         robot=config.robot,

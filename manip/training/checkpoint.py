@@ -9,9 +9,9 @@ import torch
 
 from manip.agents.agent import Agent
 from manip.errors import DamagedError, UserError, one_line
-from manip.files import link_file
-from manip.training.rollout import Collector
-from manip.trees import load_tree, save_tree
+from manip.io.atomic_files import link_file
+from manip.io.tensor_trees import load_tree, save_tree
+from manip.training.collector import Collector
 
 FORMAT = 6
 """Version of the checkpoint file; raised when it changes incompatibly."""

@@ -19,11 +19,11 @@ from manip.agents.reinforce import ReinforceConfig
 from manip.agents.sac import SACConfig
 from manip.agents.td3 import TD3Config
 from manip.agents.trpo import TRPOConfig
-from manip.envs.registry import task_names
+from manip.envs.task_registry import task_names
 from manip.errors import UserError, one_line, unknown
-from manip.plain import build
-from manip.sim.model import Fidelity
-from manip.training.limits import check_options
+from manip.io.dataclass_values import build
+from manip.sim.scene import Fidelity
+from manip.training.option_ranges import check_options
 
 AgentConfig = (
     ReinforceConfig
@@ -81,8 +81,8 @@ class TrainConfig:
     """Continue the run in the run folder from its latest checkpoint."""
     steps: int = 100_000
     """Control steps to train for, all worlds together."""
-    num_worlds: int = 32
-    """Worlds that are simulated side by side."""
+    num_envs: int = 32
+    """TaskBatch that are simulated side by side."""
     horizon: int | None = None
     """Length of a training episode [control steps]; the task's own unless given."""
     control_freq: int = 20
@@ -91,7 +91,7 @@ class TrainConfig:
     """Physics while training; evaluation is always exact."""
     reward: Literal["shaped", "stock"] = "shaped"
     """Reward set: ours, or robosuite's own shaped reward."""
-    own_starts: float = 0.0
+    restart_fraction: float = 0.0
     """Share of the training episodes that begin where an earlier one has been."""
     cool_down: float = 0.0
     """Last share of the steps, in which learning rates fall linearly to zero."""
@@ -127,7 +127,7 @@ class TrainConfig:
 
 def recipe_names() -> list[str]:
     """Names `<task>-<algo>` of the tuned recipes that are shipped."""
-    paths = (files("assets") / "recipes").iterdir()
+    paths = (files("manip.assets") / "recipes").iterdir()
     names = [path.name.removesuffix(".yaml") for path in paths]
     return sorted(name for name in names if "-" in name)
 
@@ -163,7 +163,7 @@ def recipe(task: str, algo: str, robot: str | None = None) -> TrainConfig:
 
 @cache
 def _shipped(name: str) -> dict[str, Any]:
-    path = files("assets") / "recipes" / f"{name}.yaml"
+    path = files("manip.assets") / "recipes" / f"{name}.yaml"
     return yaml.safe_load(path.read_text()) if path.is_file() else {}
 
 

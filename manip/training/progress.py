@@ -19,9 +19,9 @@ from rich.progress import (
 class TrainingProgress:
     """Shows steps, steps/s, success, stage rates and time left while training."""
 
-    def __init__(self, total: int, done: int, stages: Sequence[str]) -> None:
+    def __init__(self, total: int, done: int, milestones: Sequence[str]) -> None:
         self.console = Console(file=sys.stderr)
-        self._stages = stages
+        self._stages = milestones
         self._began, self._first = time.monotonic(), done
         self._bar = Progress(
             TextColumn("training"),

@@ -8,7 +8,7 @@ from robosuite.environments.base import REGISTERED_ENVS
 from robosuite.models.objects import BoxObject
 from robosuite.utils.transform_utils import convert_quat
 
-from tasks.scenes.goal import TABLE, GoalScene
+from manip.tasks.scenes.goal import TABLE, GoalScene
 
 Array = np.ndarray
 

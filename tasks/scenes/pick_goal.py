@@ -5,8 +5,8 @@ Importing this module registers it: `robosuite.make("PickGoal", robots="Panda")`
 
 import numpy as np
 
-from tasks.scenes.cube import CubeScene
-from tasks.scenes.goal import closeness
+from manip.tasks.scenes.cube import CubeScene
+from manip.tasks.scenes.goal import closeness
 
 Array = np.ndarray
 

@@ -5,8 +5,8 @@ Importing this module registers it: `robosuite.make("Push", robots="Panda")` wor
 
 import numpy as np
 
-from tasks.scenes.cube import HALF, CubeScene
-from tasks.scenes.goal import TABLE, closeness
+from manip.tasks.scenes.cube import HALF, CubeScene
+from manip.tasks.scenes.goal import TABLE, closeness
 
 Array = np.ndarray
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tasks.scenes.goal import GoalScene, closeness
+from manip.tasks.scenes.goal import GoalScene, closeness
 
 Array = np.ndarray
 

@@ -1,0 +1,1 @@
+"""Gradients in compiled code, checked against TorchRL's losses."""

@@ -1,0 +1,1 @@
+"""Task batches as environments of other libraries."""

@@ -1,0 +1,235 @@
+"""Tasks as Gymnasium environments: N worlds in a VectorEnv, or one in an Env.
+
+Importing this module registers every task as `manip/<task>-v0`:
+
+    import gymnasium
+    import manip.envs.adapters.gymnasium
+
+    envs = gymnasium.make_vec("manip/Lift-v0", num_envs=64)  # the batch engine
+    env = gymnasium.make("manip/Lift-v0", env="stock")  # robosuite itself
+
+`info` says `success`, and `milestones` and `reward_terms` by their names. A time limit is a
+truncation; so is a world that breaks.
+"""
+
+import atexit
+from collections.abc import Generator, Iterator, Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from manip.envs.backends.make import Where, one_world
+from manip.envs.backends.native_batch import NativeBatch
+from manip.envs.task_batch import TaskBatch, TimeStep
+from manip.envs.task_registry import load_task, task_names
+from manip.sim.renderer import render_frames
+
+Array = np.ndarray
+
+ENDLESS = 2**62
+"""Horizon of an Env, whose time limit is a wrapper of Gymnasium's."""
+
+
+class TaskVectorEnv(VectorEnv):
+    """N worlds of a task on the batch engine: what `gymnasium.make_vec` makes.
+
+    A world that ends starts its next episode in the same step, which returns the new
+    observation; `info["final_obs"]` and `info["final_info"]` hold the end of the old
+    one. World w has the same episodes whatever N is.
+
+    Args:
+        task: name of the task, or package.module:Task.
+        num_envs: N.
+        max_episode_steps: length of an episode; the task's own unless given.
+        options: as in `manip.envs.backends.native_batch.NativeBatch`, without the seed.
+    """
+
+    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
+
+    def __init__(
+        self,
+        task: str,
+        num_envs: int = 1,
+        *,
+        max_episode_steps: int | None = None,
+        **options: Any,
+    ) -> None:
+        self.batch = NativeBatch(
+            load_task(task), num_envs, horizon=max_episode_steps, seed=0, **options
+        )
+        self.num_envs = num_envs
+        self.single_observation_space = _observation_space(self.batch)
+        self.single_action_space = _action_space(self.batch)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
+        """Start an episode in every world: the seed's first one if a seed is given."""
+        super().reset(seed=seed)
+        _begin(self, seed)
+        time_step = self.batch.observe()
+        return time_step.observation, _batched(
+            _info(time_step), np.ones(self.num_envs, bool)
+        )
+
+    def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
+        """Take actions [N, A]; observations [N, D], rewards, ends [N], and info."""
+        time_step = now = self.batch.step(actions)
+        ends: dict[str, Any] = {}
+        if time_step.done.any():
+            ends = _batched(_final(time_step), time_step.done)
+            self.batch.begin(np.flatnonzero(time_step.done))
+            now = self.batch.observe()
+        info = _batched(_info(now), np.ones(self.num_envs, bool)) | ends
+        return (
+            now.observation,
+            time_step.reward,
+            time_step.terminated,
+            time_step.truncated,
+            info,
+        )
+
+
+class TaskEnv(gymnasium.Env):
+    """One world of a task: what `gymnasium.make` makes, with a time limit around it.
+
+    Args:
+        task: name of the task, or package.module:Task.
+        env: "native" for the batch engine, "stock" for robosuite itself.
+        render_mode: "rgb_array", if `render` is to draw.
+        control_freq: control steps a second [Hz].
+        options: as in `NativeBatch` or `StockBatch`, without the seed.
+    """
+
+    metadata = {"render_modes": ["rgb_array"]}
+
+    def __init__(
+        self,
+        task: str,
+        *,
+        env: Where = "native",
+        render_mode: str | None = None,
+        control_freq: int = 20,
+        **options: Any,
+    ) -> None:
+        self.metadata = self.metadata | {"render_fps": control_freq}
+        self.batch = one_world(
+            task, env, horizon=ENDLESS, seed=0, control_freq=control_freq, **options
+        )
+        self.observation_space = _observation_space(self.batch)
+        self.action_space = _action_space(self.batch)
+        self.render_mode = render_mode
+        self._film: Generator[Array, None, None] | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
+        """Start the next episode: the seed's first one if a seed is given."""
+        super().reset(seed=seed)
+        _begin(self, seed)
+        self.close()
+        time_step = self.batch.observe()
+        return time_step.observation[0], _first(_info(time_step))
+
+    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Take an action [A]; observation [D], reward, terminated, truncated, info."""
+        time_step = self.batch.step(np.asarray(action)[None])
+        return (
+            time_step.observation[0],
+            float(time_step.reward[0]),
+            bool(time_step.terminated[0]),
+            bool(time_step.truncated[0]),
+            _first(_info(time_step)),
+        )
+
+    def render(self) -> Array | None:
+        """The world as it is now, uint8 [480, 640, 3], if the mode is "rgb_array"."""
+        if self.render_mode is None:
+            return None
+        if self._film is None:
+            self._film = render_frames(self.batch.visual_model(0), _poses(self.batch))
+            atexit.register(self._film.close)  # before OpenGL itself ends
+        return next(self._film)
+
+    def close(self) -> None:
+        """Let go of the renderer."""
+        if self._film:
+            atexit.unregister(self._film.close)
+            self._film.close()
+            self._film = None
+
+
+def _poses(worlds: TaskBatch) -> Iterator[Array]:
+    while True:
+        yield worlds.read()["qpos"][0]
+
+
+def _observation_space(worlds: TaskBatch) -> Box:
+    width = max(part.stop for part in worlds.layout.values())
+    return Box(-np.inf, np.inf, (width,), np.float32)
+
+
+def _action_space(worlds: TaskBatch) -> Box:
+    return Box(-1.0, 1.0, (worlds.action_dim,), np.float32)
+
+
+def _begin(env: TaskEnv | TaskVectorEnv, seed: int | None) -> None:
+    """Start episodes; without any seed so far, those of a seed drawn by chance."""
+    worlds = env.batch
+    if seed is None and worlds.episode[0] < 0:
+        seed = int(env.np_random.integers(2**63))
+    if seed is not None:
+        worlds.restart(seed)
+    worlds.begin(np.arange(worlds.num_envs))
+
+
+def _info(time_step: TimeStep) -> dict[str, Any]:
+    terms = time_step.reward_terms.items()
+    return {
+        "success": time_step.success,
+        "milestones": dict(time_step.milestones),
+        "reward_terms": {name: np.array(term, float) for name, term in terms},
+    }
+
+
+def _final(time_step: TimeStep) -> dict[str, Any]:
+    observations = np.full(len(time_step.done), None, object)
+    for world in np.flatnonzero(time_step.done):
+        observations[world] = time_step.observation[world]
+    return {"final_obs": observations, "final_info": _info(time_step)}
+
+
+def _first(info: Mapping[str, Any]) -> dict[str, Any]:
+    """The info of world 0 alone, in Python's numbers."""
+    return {
+        name: _first(value) if isinstance(value, dict) else value[0].item()
+        for name, value in info.items()
+    }
+
+
+def _batched(info: Mapping[str, Any], of: Array) -> dict[str, Any]:
+    """Info as Gymnasium batches it: beside every entry, whose it is; 0 elsewhere."""
+    found: dict[str, Any] = {}
+    for name, value in info.items():
+        if isinstance(value, dict):
+            found[name] = _batched(value, of)
+        else:
+            found[name] = value if value.dtype == object else value * of
+        found[f"_{name}"] = of.copy()
+    return found
+
+
+for _name in task_names():
+    gymnasium.register(
+        f"manip/{_name}-v0",
+        entry_point=f"{__name__}:TaskEnv",
+        vector_entry_point=f"{__name__}:TaskVectorEnv",
+        max_episode_steps=load_task(_name).horizon,
+        kwargs={"task": _name},
+    )

@@ -1,0 +1,1 @@
+"""What steps a batch of task environments."""

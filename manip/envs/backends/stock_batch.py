@@ -1,0 +1,85 @@
+"""A task inside a stock robosuite environment: the same readings, one world."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from manip.envs.task import Measures, Task
+from manip.envs.task_batch import TaskBatch
+from manip.sim.robosuite_factory import make_stock, reseed
+from manip.sim.stock_reader import stock_reader
+
+Array = np.ndarray
+
+
+class StockBatch(TaskBatch):
+    """One world of a task, stepped by `robosuite.make(...)` itself.
+
+    Mends what robosuite's GymWrapper gets wrong: the time limit is `truncated`,
+    success is reported, and a seed fixes the episodes (episode e starts from
+    `seed + e`).
+
+    Args:
+        task: what is to be done.
+        robot, controller, control_freq, horizon, reward, seed: as in `NativeBatch`.
+        hard_reset: rebuild the model at every reset, as robosuite does by default;
+            what it samples when it builds (Lift's cube size) then varies.
+        stock: a robosuite environment to use, instead of making one.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        *,
+        robot: str = "Panda",
+        controller: str = "OSC_POSE",
+        control_freq: int = 20,
+        horizon: int | None = None,
+        reward: str = "shaped",
+        seed: int = 0,
+        hard_reset: bool = False,
+        stock: Any = None,
+    ) -> None:
+        self.stock = stock or make_stock(
+            task.robosuite_name,
+            robot,
+            controller,
+            control_freq,
+            seed,
+            hard_reset=hard_reset,
+        )
+        self._reader = stock_reader(self.stock, task.sensors)
+        self._memory = _blank(task)
+        action_dim = self.stock.action_dim
+        super().__init__(task, 1, action_dim, horizon, reward, seed)
+
+    def read(self) -> Measures:
+        """As `manip.sim.stock_reader.stock_reader`."""
+        return {**self._reader(), **self._memory}
+
+    def visual_model(self, world: int) -> Any:
+        """The stock environment's own model."""
+        return self.stock.sim.model._model
+
+    def _start_episodes(self, worlds: Array) -> None:
+        reseed(self.stock, self.seed + int(self.episode[0]))
+        self.stock.reset()
+        self._memory = _blank(self.task)
+        if self.stock.hard_reset:
+            self._reader = stock_reader(self.stock, self.task.sensors)
+
+    def _keep(self, worlds: Array, memory: Mapping[str, Array]) -> None:
+        if len(worlds):
+            self._memory = {**self._memory, **memory}
+
+    def _move(self, action: Array) -> Array:
+        broken = np.isnan(action).any(axis=1)
+        if not broken[0]:
+            self.stock.step(action[0].astype(np.float64))
+        return broken
+
+
+def _blank(task: Task) -> dict[str, Array]:
+    """The memory of one world as its episode begins."""
+    return {name: np.zeros((1, size)) for name, size in task.sensors.memory.items()}

@@ -1,0 +1,93 @@
+"""MuJoCo's own speed: the bound that the batch engine is measured against."""
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+from mujoco.rollout import Rollout
+
+from manip.compiled import jit
+from manip.sim.batch_engine import BatchEngine
+from manip.sim.control_laws import Work
+from manip.sim.libmujoco import mj_step1, mj_step2
+from manip.sim.robot_model import Arm, Gripper
+from manip.sim.stepping import Sim, control, load
+from manip.sim.thread_data import thread_data
+
+Array = np.ndarray
+
+
+def bare_physics(
+    engine: BatchEngine, actions: Array, threads: int
+) -> Callable[[], Array]:
+    """A function that repeats in `mujoco.rollout`, in C, what the engine would do.
+
+    The controls of every substep are recorded beforehand, so that the repetition meets
+    the same contacts and computes no control law.
+
+    Args:
+        engine: its worlds as they are now are the start; they stay as they are.
+        actions: [T, N, A], the control steps to take.
+        threads: that the rollout runs on.
+
+    Returns:
+        A function that takes T control steps of all worlds and returns qpos [N, nq],
+        where they end.
+    """
+    model = engine.scene.physics
+    nq, nv = model.nq, model.nv
+    controls = _recorded(engine, actions)
+    starts = np.zeros((engine.num_envs, 1 + nq + nv))  # the first is the time
+    starts[:, 1:] = engine.states[:, : nq + nv]
+    warmstart = engine.states[:, nq + nv : nq + 2 * nv].copy()
+    states = np.zeros((*controls.shape[:2], 1 + nq + nv))
+    sensordata = np.zeros((*controls.shape[:2], model.nsensordata))
+    pool = Rollout(nthread=threads if threads > 1 else 0)
+    datas = [mujoco.MjData(model) for _ in range(threads)]
+
+    def run() -> Array:
+        pool.rollout(
+            model,
+            datas,
+            starts,
+            controls,
+            initial_warmstart=warmstart,
+            state=states,
+            sensordata=sensordata,
+        )
+        return states[:, -1, 1 : 1 + nq]
+
+    return run
+
+
+def _recorded(engine: BatchEngine, actions: Array) -> Array:
+    """Controls [N, T * substeps, nu] that the engine would apply."""
+    scene = engine.scene
+    memory = thread_data(scene)
+    shape = engine.num_envs, len(actions) * scene.substeps, scene.physics.nu
+    controls = np.zeros(shape)
+    arm, gripper = scene.layout.arm, scene.layout.gripper
+    _record(memory.sim, arm, gripper, memory.work, actions, engine.states, controls)
+    return controls
+
+
+@jit
+def _record(
+    sim: Sim,
+    arm: Arm,
+    gripper: Gripper,
+    w: Work,
+    actions: Array,
+    states: Array,
+    controls: Array,
+) -> None:
+    substeps = controls.shape[1] // len(actions)
+    for world in range(len(states)):
+        load(states[world], sim.state)
+        for substep in range(controls.shape[1]):
+            action = actions[substep // substeps, world]
+            mj_step1(sim.model, sim.data)
+            control(sim, arm, gripper, w, action, substep % substeps)
+            for k in range(len(sim.ctrl)):
+                controls[world, substep, k] = sim.ctrl[k]
+            mj_step2(sim.model, sim.data)

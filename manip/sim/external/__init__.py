@@ -1,0 +1,1 @@
+"""Simulations that another library steps."""

@@ -1,0 +1,86 @@
+"""Stock robosuite environments, built quietly and with settings fit for training.
+
+The only module that imports robosuite. Its environments are the model factory of
+the batch engine and the oracle that the engine must agree with.
+"""
+
+import logging
+import os
+from typing import Any
+
+import numpy as np
+
+from manip.errors import check_choice
+from manip.sim.robot_config import RobotConfig, check_robot_config
+
+logging.getLogger("robosuite_logs").addFilter(lambda r: r.levelno >= logging.ERROR)
+_gl_backend = os.environ.get("MUJOCO_GL")
+import robosuite  # noqa: E402  (the log filter must come first)
+from robosuite.controllers import load_part_controller_config  # noqa: E402
+from robosuite.controllers.composite.composite_controller_factory import (  # noqa: E402
+    refactor_composite_controller_config,
+)
+from robosuite.environments.base import REGISTERED_ENVS  # noqa: E402
+from robosuite.environments.manipulation.two_arm_env import TwoArmEnv  # noqa: E402
+
+if _gl_backend is None:
+    # robosuite sets MUJOCO_GL on import; choosing the backend is manip.sim.gl's job.
+    os.environ.pop("MUJOCO_GL", None)
+
+PHYSICS_DT = 0.002
+"""robosuite's simulation timestep [s] (robosuite/macros.py)."""
+
+
+def make_stock(
+    name: str,
+    robot: str = "Panda",
+    controller: str = "OSC_POSE",
+    control_freq: int = 20,
+    seed: int | None = None,
+    **options: Any,
+) -> Any:
+    """Build `robosuite.make(name, robots=robot)` for headless, state-based use.
+
+    Observations come from states only and a reset keeps the compiled model; any
+    further `options` go to robosuite as they are. A two-armed environment gets two
+    arms of the kind.
+
+    Raises:
+        UserError: unknown robot, controller, environment or control frequency.
+    """
+    check_robot_config(RobotConfig(robot, controller, control_freq))
+    check_choice("robosuite environment", name, robosuite.ALL_ENVIRONMENTS)
+    settings = {
+        "has_renderer": False,
+        "has_offscreen_renderer": False,
+        "use_camera_obs": False,
+        "hard_reset": False,
+        "reward_shaping": True,
+        "controller_configs": _controller_config(controller, robot),
+        "control_freq": control_freq,
+        "seed": seed,
+        "ignore_done": True,
+    }
+    arms = 2 if issubclass(REGISTERED_ENVS[name], TwoArmEnv) else 1
+    return robosuite.make(name, robots=[robot] * arms, **(settings | options))
+
+
+def environment_names() -> tuple[str, ...]:
+    """Names of all robosuite environments that are registered by now."""
+    return tuple(sorted(robosuite.ALL_ENVIRONMENTS))
+
+
+def reseed(env: Any, seed: int) -> None:
+    """Restart the random stream of a stock environment, in place.
+
+    robosuite has no seed per reset: samplers hold references to `env.rng`, so its
+    bit generator's state is replaced (`GymWrapper.reset(seed)` has no effect).
+    """
+    env.rng.bit_generator.state = np.random.default_rng(seed).bit_generator.state
+
+
+def _controller_config(controller: str, robot: str) -> Any:
+    if controller == "OSC_POSE":
+        return None
+    part = load_part_controller_config(default_controller=controller)
+    return refactor_composite_controller_config(part, robot, ["right"])

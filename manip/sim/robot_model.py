@@ -1,0 +1,132 @@
+"""Indices and gains of a robot, read off its robosuite environment."""
+
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from manip.sim.names import lookup
+
+Array = np.ndarray
+
+NARROWEST = {"Robotiq85Gripper": 0.052}
+"""Gap [m] between the pads of a shut gripper, where that is too wide for small things:
+the links of its fingers collide before (measured, 51 to 56 mm)."""
+
+
+class Arm(NamedTuple):
+    """The arm's indices and gains, as the compiled control laws need them.
+
+    osc: whether the action moves the tool or the joints. scale [m or rad]: what a full
+    action moves: [6] for OSC_POSE, [3] for OSC_POSITION, [n] for JOINT_POSITION. `mass`
+    [n, n] holds the address of each entry of the arm's mass matrix in `MjData.M`.
+    """
+
+    osc: bool
+    qpos: Array
+    dof: Array
+    actuator: Array
+    low: Array
+    high: Array
+    mass: Array
+    scale: Array
+    kp: float
+    kd: float
+    tool: int
+    base: int
+    root: int
+    moves_base: Array
+
+
+class Gripper(NamedTuple):
+    """The gripper law: command += speed * sign(a), clipped to [-1, 1], then affine.
+
+    ctrl[actuator] = bias + weight * command; all arrays have one entry an actuator.
+    """
+
+    actuator: Array
+    speed: Array
+    bias: Array
+    weight: Array
+
+
+def hand_kind(stock: Any) -> str:
+    """robosuite's name of the robot's gripper, such as PandaGripper."""
+    return type(stock.robots[0].gripper["right"]).__name__
+
+
+def read_arm(stock: Any) -> Arm:
+    """The arm of a robosuite environment's first robot."""
+    model = stock.sim.model._model
+    part = stock.robots[0].part_controllers["right"]
+    robot = stock.robots[0]
+    actuator = np.array(robot._ref_arm_joint_actuator_indexes)
+    dof = np.array(part.qvel_index)
+    tool = lookup(model, "site", robot.gripper["right"].important_sites["grip_site"])
+    base = lookup(model, "site", f"{part.naming_prefix}{part.part_name}_center")
+    return Arm(
+        osc=part.name.startswith("OSC"),
+        qpos=np.array(part.qpos_index),
+        dof=dof,
+        actuator=actuator,
+        low=model.actuator_ctrlrange[actuator, 0].copy(),
+        high=model.actuator_ctrlrange[actuator, 1].copy(),
+        mass=_mass_addresses(model, dof),
+        scale=np.array(part.output_max, dtype=float),
+        kp=float(part.kp[0]),
+        kd=float(part.kd[0]),
+        tool=tool,
+        base=base,
+        root=int(model.body_rootid[model.site_bodyid[tool]]),
+        moves_base=np.isin(dof, _dofs_above(model, model.site_bodyid[base])),
+    )
+
+
+def _dofs_above(model: mujoco.MjModel, body: int) -> list[int]:
+    """Degrees of freedom that move a body."""
+    found: list[int] = []
+    while body > 0:
+        start = model.body_dofadr[body]
+        found += range(start, start + model.body_dofnum[body])
+        body = model.body_parentid[body]
+    return found
+
+
+def _mass_addresses(model: mujoco.MjModel, dof: Array) -> Array:
+    """Address in MjData.M (lower triangle, sparse rows) of M[dof[i], dof[j]]."""
+    table = np.full((model.nv, model.nv), -1)
+    for row in range(model.nv):
+        start = model.M_rowadr[row]
+        entries = np.arange(start, start + model.M_rownnz[row])
+        table[row, model.M_colind[entries]] = entries
+    return np.maximum(table, table.T)[np.ix_(dof, dof)]
+
+
+def read_gripper(stock: Any) -> Gripper:
+    """Read the gripper's law off robosuite's object by trying it: close once from 0."""
+    robot = stock.robots[0]
+    hand = robot.gripper["right"]
+    actuator = np.array(robot._ref_joint_gripper_actuator_indexes["right"], dtype=int)
+    low, high = stock.sim.model._model.actuator_ctrlrange[actuator].T
+    kept = hand.current_action
+    hand.current_action = np.zeros(hand.dof)
+    speed = np.broadcast_to(hand.format_action(np.ones(1)), actuator.shape).copy()
+    hand.current_action = kept
+    return Gripper(actuator, speed, (high + low) / 2, (high - low) / 2)
+
+
+def default_qpos(stock: Any) -> Array:
+    """The pose [nq] before a reset's randomisation."""
+    robot = stock.robots[0]
+    qpos = stock.sim.model._model.qpos0.copy()
+    qpos[np.array(robot._ref_joint_pos_indexes)] = robot.init_qpos
+    fingers = finger_indices(robot, "pos")
+    if len(fingers):
+        qpos[fingers] = robot.gripper["right"].init_qpos
+    return qpos
+
+
+def finger_indices(robot: Any, kind: str) -> Array:
+    """Entries of qpos (kind "pos") or qvel ("vel") of the finger joints."""
+    indices = getattr(robot, f"_ref_gripper_joint_{kind}_indexes")["right"]
+    return np.array(indices, dtype=int)

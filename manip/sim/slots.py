@@ -1,0 +1,102 @@
+"""Where named readings and model fields lie in the arrays of MuJoCo."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from manip.errors import unknown
+from manip.sim.names import lookup
+from manip.sim.sensors import Sensors
+
+
+class Slot(NamedTuple):
+    """A named run of entries in an array of MjData or MjModel."""
+
+    name: str
+    array: str
+    start: int
+    size: int
+
+
+def robot_slots(stock: Any) -> tuple[Slot, ...]:
+    """The arm's readings that need no indexing: whole state, tool pose, hand body."""
+    model, robot = stock.sim.model._model, stock.robots[0]
+    tool = lookup(model, "site", robot.gripper["right"].important_sites["grip_site"])
+    hand = lookup(model, "body", robot.robot_model.eef_name["right"])
+    return (
+        Slot("qpos", "qpos", 0, model.nq),
+        Slot("qvel", "qvel", 0, model.nv),
+        Slot("qacc", "qacc", 0, model.nv),
+        Slot("eef_pos", "site_xpos", 3 * tool, 3),
+        Slot("eef_mat", "site_xmat", 9 * tool, 9),
+        Slot("hand_quat", "xquat", 4 * hand, 4),
+    )
+
+
+def task_slots(model: mujoco.MjModel, sensors: Sensors) -> list[Slot]:
+    """Slots of the bodies, sites and joints that a task reads."""
+    slots = []
+    for name, body in sensors.bodies.items():
+        slots += _body_slots(model, name, lookup(model, "body", body))
+    for name, site in sensors.sites.items():
+        slots.append(
+            Slot(f"{name}_pos", "site_xpos", 3 * lookup(model, "site", site), 3)
+        )
+    for name, joint in sensors.joints.items():
+        slots += _joint_slots(model, name, lookup(model, "joint", joint))
+    return slots
+
+
+def _body_slots(model: mujoco.MjModel, name: str, body: int) -> list[Slot]:
+    slots = [
+        Slot(f"{name}_pos", "xpos", 3 * body, 3),
+        Slot(f"{name}_quat", "xquat", 4 * body, 4),
+    ]
+    joint = model.body_jntadr[body]
+    if joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+        dof = int(model.jnt_dofadr[joint])
+        slots.append(Slot(f"{name}_linvel", "qvel", dof, 3))
+        slots.append(Slot(f"{name}_angvel", "qvel", dof + 3, 3))
+    return slots
+
+
+def force_slots(model: mujoco.MjModel, forces: Mapping[str, str]) -> tuple[Slot, ...]:
+    """Where a model with sensors for them keeps the forces at some sites."""
+    of_kind = model.sensor_type == mujoco.mjtSensor.mjSENS_FORCE
+    slots = []
+    for name, site in forces.items():
+        at_site = model.sensor_objid == lookup(model, "site", site)
+        (sensor,) = np.flatnonzero(of_kind & at_site)
+        slots.append(Slot(name, "sensordata", int(model.sensor_adr[sensor]), 3))
+    return tuple(slots)
+
+
+def _joint_slots(model: mujoco.MjModel, name: str, joint: int) -> list[Slot]:
+    return [
+        Slot(f"{name}_qpos", "qpos", int(model.jnt_qposadr[joint]), 1),
+        Slot(f"{name}_qvel", "qvel", int(model.jnt_dofadr[joint]), 1),
+    ]
+
+
+def field_slot(model: mujoco.MjModel, name: str, array: str, target: str) -> Slot:
+    """Slot of a model field, such as ("geom_friction", "cube_g0").
+
+    Raises:
+        UserError: the array or the object does not exist.
+    """
+    kind = array.split("_")[0]
+    known = [entry for entry in dir(model) if _holds_fields(model, entry)]
+    if array not in known:
+        raise unknown("model array", array, known)
+    size = getattr(model, array)[0].size
+    return Slot(name, array, size * lookup(model, kind, target), size)
+
+
+def _holds_fields(model: mujoco.MjModel, array: str) -> bool:
+    """Whether it is an array of floats with a row for each body, geom or site."""
+    if not array.startswith(("body_", "geom_", "site_")):
+        return False
+    rows = getattr(model, array)
+    return rows.dtype == np.float64 and len(rows) > 0

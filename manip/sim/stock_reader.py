@@ -1,0 +1,68 @@
+"""Reading a stock robosuite environment as the batch engine reads its worlds."""
+
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip.sim.names import lookup
+from manip.sim.scene_layout import read_scene_layout, with_joints
+from manip.sim.sensors import Sensors
+from manip.sim.slots import Slot, force_slots
+from manip.sim.touches import Side
+
+Array = np.ndarray
+
+
+def stock_reader(stock: Any, sensors: Sensors) -> Callable[[], dict[str, Array]]:
+    """A function that reads a stock environment as `BatchEngine.read` reads worlds.
+
+    Returns:
+        A function that gives the same names, for one world: arrays [1, k]. It is
+        good until a hard reset, which gives the environment a new simulation.
+    """
+    layout = read_scene_layout(stock, sensors)
+    model, data = stock.sim.model._model, stock.sim.data._data
+    touches = layout.touches
+    slots = (*layout.slots, *force_slots(model, sensors.forces))
+    sides = [(_geom_ids(model, t.first), _geom_ids(model, t.second)) for t in touches]
+    hand = stock.robots[0].gripper["right"]
+
+    def read() -> dict[str, Array]:
+        named = {slot.name: _values(data, slot)[None] for slot in slots}
+        for slot in layout.fields:
+            named[slot.name] = _values(model, slot)[None]
+        for touch, pair in zip(touches, sides, strict=True):
+            found = float(_contacts(data, *pair))
+            named[touch.name] = np.array([min(found, touch.most)])
+        command = np.broadcast_to(hand.current_action, layout.gripper.speed.shape)
+        named["gripper_command"] = command[None].copy()
+        start = stock.robots[0].part_controllers["right"].initial_joint
+        named["start_pos"] = np.array(start)[None]
+        return with_joints(layout, named)
+
+    return read
+
+
+def _values(owner: Any, slot: Slot) -> Array:
+    flat = getattr(owner, slot.array).reshape(-1)
+    return flat[slot.start : slot.start + slot.size].copy()
+
+
+def _contacts(data: mujoco.MjData, first: Array, second: Array) -> int:
+    a, b = data.contact.geom.T
+    forward = np.isin(a, first) & np.isin(b, second)
+    backward = np.isin(b, first) & np.isin(a, second)
+    return int((forward | backward).sum())
+
+
+def _geom_ids(model: mujoco.MjModel, side: Side) -> Array:
+    if side.geoms:
+        return np.array([lookup(model, "geom", name) for name in side.geoms])
+    root = lookup(model, "body", side.body or "")
+    inside = [root]
+    for body in range(root + 1, model.nbody):
+        if model.body_parentid[body] in inside:
+            inside.append(body)
+    return np.flatnonzero(np.isin(model.geom_bodyid, inside))

@@ -1,0 +1,54 @@
+"""Contacts that a task senses: pairs of sides, each a set of geoms or a body."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from manip.sim.names import find, lookup
+from manip.sim.robot_model import hand_kind
+
+_PADS = {
+    "XArm7Gripper": {
+        f"{side}_fingerpad": [f"gripper0_right_{side}_finger_pad_{i}" for i in (1, 2)]
+        for side in ("left", "right")
+    }
+}
+"""Finger pads by their real names, where robosuite 1.5.2 names geoms that its model
+lacks (models/grippers/xarm7_gripper.py); its own grasp test never fires there."""
+
+
+class Side(NamedTuple):
+    """One side of a contact: geoms by name, or a body with all below it."""
+
+    geoms: tuple[str, ...]
+    body: str | None
+
+
+class Touch(NamedTuple):
+    """A named number of contacts between two sides, or a flag: of them, `most` 1."""
+
+    name: str
+    first: Side
+    second: Side
+    most: float
+
+
+def read_touches(
+    stock: Any, named: Mapping[str, tuple[str, str]], most: float
+) -> Iterator[Touch]:
+    """The touches that a task names, resolved in a robosuite environment."""
+    for name, (first, second) in named.items():
+        yield Touch(name, _side(stock, first), _side(stock, second), most)
+
+
+def _side(stock: Any, name: str) -> Side:
+    robot = stock.robots[0]
+    hand = robot.gripper["right"]
+    groups = hand.important_geoms | _PADS.get(hand_kind(stock), {})
+    groups["arm"] = robot.robot_model.contact_geoms
+    if name in groups:
+        return Side(tuple(groups[name]), None)
+    model = stock.sim.model._model
+    if find(model, "body", name) < 0 <= find(model, "geom", name):
+        return Side((name,), None)
+    lookup(model, "body", name)
+    return Side((), name)
