@@ -7,6 +7,7 @@ import torch
 
 from manip.envs.task import Task
 from manip.envs.task_registry import load_task
+from manip.robot_config import RobotConfig
 from manip.sim.robosuite_factory import make_stock
 from manip.sim.scene import Fidelity, Scene, build_scene
 
@@ -29,7 +30,7 @@ def scene_of() -> SceneOf:
         rig = task.robosuite_name, controller
         key = type(task), *rig, fidelity
         if rig not in stocks:
-            stocks[rig] = make_stock(rig[0], controller=controller, seed=3)
+            stocks[rig] = make_stock(rig[0], RobotConfig(controller=controller), seed=3)
         if key not in scenes:
             scenes[key] = build_scene(
                 stocks[rig], task.sensors, control_freq=20, fidelity=fidelity

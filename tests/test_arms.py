@@ -6,8 +6,8 @@ import pytest
 
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Task
+from manip.robot_config import ROBOTS, RobotConfig
 from manip.sim.batch_engine import BatchEngine
-from manip.sim.robot_config import ROBOTS
 from manip.sim.scene import Scene, load_scene
 
 Array = np.ndarray
@@ -30,12 +30,12 @@ def robot(request) -> str:
 
 @pytest.fixture(scope="module")
 def scene(robot: str, lift: Task) -> Scene:
-    return load_scene("Lift", lift.sensors, robot)
+    return load_scene("Lift", lift.sensors, RobotConfig(robot))
 
 
 def test_the_script_lifts_the_cube_and_keeps_it(lift: Task, scene: Scene) -> None:
     engine, worlds = BatchEngine(scene, WORLDS, threads=2), np.arange(WORLDS)
-    engine.write(worlds, *lift.sample_start(scene, EpisodeStreams(0, worlds, worlds)))
+    engine.reset(worlds, *lift.sample_start(scene, EpisodeStreams(0, worlds, worlds)))
     held = []
     for _ in range(lift.horizon):
         engine.step(lift.expert(lift.measure(engine.read())))

@@ -12,7 +12,8 @@ from torchrl.envs import check_env_specs
 
 from manip.agents.agent import Spaces
 from manip.agents.bc import BC, BCConfig, Demonstration
-from manip.envs.adapters.torchrl import NativeEnv
+from manip.envs.adapters.torchrl import TaskEnv
+from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.task import Task
 from manip.errors import UserError
 from manip.sim.scene import Scene
@@ -106,7 +107,7 @@ def test_the_clone_acts_in_the_last_worlds_once_it_has_learned() -> None:
 
 
 def test_worlds_say_what_the_script_would_do(lift: Task, lift_scene: Scene) -> None:
-    env = NativeEnv(lift, 3, expert=True, scene=lift_scene, threads=1)
+    env = TaskEnv(NativeBatch(lift, 3, scene=lift_scene, threads=1), expert=True)
     check_env_specs(env)
     state = env.reset()
     for _ in range(3):
@@ -118,7 +119,9 @@ def test_worlds_say_what_the_script_would_do(lift: Task, lift_scene: Scene) -> N
 
 
 def test_a_task_without_a_script_says_so(scene_of) -> None:
-    env = NativeEnv(Tiny(), 2, expert=True, scene=scene_of(Tiny()), threads=1)
+    env = TaskEnv(
+        NativeBatch(Tiny(), 2, scene=scene_of(Tiny()), threads=1), expert=True
+    )
     with pytest.raises(UserError, match=r"'Tiny' has no script .* another algorithm"):
         env.reset()
 

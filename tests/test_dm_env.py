@@ -9,7 +9,7 @@ from dm_env.test_utils import EnvironmentTestMixin
 from tiny import Tiny
 
 from manip.envs.adapters.dm_env import TaskEnvironment
-from manip.envs.backends import make as single
+from manip.envs import make_batch as single
 from manip.envs.backends import native_batch as native
 from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.task_registry import load_task

@@ -23,7 +23,7 @@ def start(task: Task, engine: BatchEngine, seed: int = 0) -> None:
     """Begin an episode in every world."""
     worlds = np.arange(engine.num_envs)
     streams = EpisodeStreams(seed, worlds, 0 * worlds)
-    engine.write(worlds, *task.sample_start(engine.scene, streams))
+    engine.reset(worlds, *task.sample_start(engine.scene, streams))
 
 
 def started(task: Task, scene: Scene, num_envs: int, threads: int = 1) -> BatchEngine:
@@ -179,7 +179,7 @@ def test_a_partial_reset_leaves_the_other_worlds(lift: Task, lift_scene: Scene) 
     run(plain, actions[:3])
     worlds = np.array([1])
     streams = EpisodeStreams(9, worlds, worlds)
-    reset.write(worlds, *lift.sample_start(lift_scene, streams))
+    reset.reset(worlds, *lift.sample_start(lift_scene, streams))
     others = np.array([0, 2, 3])
     assert_same(reset, plain, others)
     run(reset, actions[3:])
@@ -192,7 +192,7 @@ def test_fields_belong_to_a_world(reach: Task, reach_scene: Scene) -> None:
     engine = started(reach, reach_scene, 3)
     before = engine.read()["goal_pos"].copy()
     qpos = engine.read()["qpos"][[1]].copy()
-    engine.write(np.array([1]), qpos, {"goal_place": np.array([[0.1, 0.2, 1.0]])})
+    engine.reset(np.array([1]), qpos, {"goal_place": np.array([[0.1, 0.2, 1.0]])})
     run(engine, np.zeros((2, 3, 7)))
     goals = engine.read()["goal_pos"]
     np.testing.assert_array_equal(goals[[0, 2]], before[[0, 2]])
@@ -203,7 +203,7 @@ def test_fields_belong_to_a_world(reach: Task, reach_scene: Scene) -> None:
 def test_a_reset_without_fields_keeps_them(reach: Task, reach_scene: Scene) -> None:
     engine = started(reach, reach_scene, 2)
     goals = engine.read()["goal_pos"].copy()
-    engine.write(np.arange(2), engine.read()["qpos"].copy())
+    engine.reset(np.arange(2), engine.read()["qpos"].copy())
     np.testing.assert_array_equal(engine.read()["goal_pos"], goals)
 
 

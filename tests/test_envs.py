@@ -12,7 +12,9 @@ from torch import Tensor
 from torchrl.envs.utils import check_env_specs
 from twin import copy_start
 
-from manip.envs.adapters.torchrl import NativeEnv, StockEnv
+from manip.envs.adapters.torchrl import TaskEnv
+from manip.envs.backends.native_batch import NativeBatch
+from manip.envs.backends.stock_batch import StockBatch
 from manip.envs.task import Task
 from manip.envs.task_registry import load_task, task_names
 from manip.errors import UserError
@@ -64,8 +66,10 @@ def stacked(steps: list[TensorDictBase], *key: str) -> Tensor:
     return torch.stack([step[key] for step in steps])
 
 
-def native(task: Task, scene: Scene, num_envs: int = 4, **options) -> NativeEnv:
-    return NativeEnv(task, num_envs, scene=scene, **({"threads": 1} | options))
+def native(task: Task, scene: Scene, num_envs: int = 4, **options) -> TaskEnv:
+    return TaskEnv(
+        NativeBatch(task, num_envs, scene=scene, **({"threads": 1} | options))
+    )
 
 
 # TorchRL's contract
@@ -76,13 +80,15 @@ def test_specs_hold_natively(task: Task, scene: Scene) -> None:
 
 
 def test_specs_hold_in_stock(task: Task, scene: Scene) -> None:
-    check_env_specs(StockEnv(task, stock=scene.stock))
+    check_env_specs(TaskEnv(StockBatch(task, stock=scene.stock)))
 
 
 @pytest.mark.parametrize("where", ["native", "stock"])
 def test_keys_and_shapes_are_as_stated(where: str, task: Task, scene: Scene) -> None:
     env = (
-        native(task, scene) if where == "native" else StockEnv(task, stock=scene.stock)
+        native(task, scene)
+        if where == "native"
+        else TaskEnv(StockBatch(task, stock=scene.stock))
     )
     n = env.batch.num_envs
     width = max(part.stop for part in env.batch.layout.values())
@@ -138,7 +144,7 @@ EQUAL = ("milestones", "success", "terminated", "truncated", "done")
 
 @pytest.mark.parametrize("reward", ["shaped", "stock"])
 def test_native_says_what_stock_says(reward: str, task: Task, scene: Scene) -> None:
-    theirs = StockEnv(task, stock=scene.stock, reward=reward, seed=11)
+    theirs = TaskEnv(StockBatch(task, stock=scene.stock, reward=reward, seed=11))
     ours = native(task, scene, 2, reward=reward)
     begin_the_same(ours, theirs)
     for move in actions(10, 1):
@@ -149,7 +155,7 @@ def test_native_says_what_stock_says(reward: str, task: Task, scene: Scene) -> N
 def test_native_says_what_stock_says_until_success(name: str, scene_of) -> None:
     """Whatever the task: test_parity.py follows all of them, as they are measured."""
     task = load_task(name)
-    theirs = StockEnv(task, stock=scene_of(task).stock, seed=11)
+    theirs = TaskEnv(StockBatch(task, stock=scene_of(task).stock, seed=11))
     ours = native(task, scene_of(task), 2)
     begin_the_same(ours, theirs)
     for _ in range(task.horizon):
@@ -160,14 +166,14 @@ def test_native_says_what_stock_says_until_success(name: str, scene_of) -> None:
     pytest.fail("the script did not succeed")
 
 
-def begin_the_same(ours: NativeEnv, theirs: StockEnv) -> None:
+def begin_the_same(ours: TaskEnv, theirs: TaskEnv) -> None:
     ours.reset()
     state = theirs.reset()
     copy_start(ours.batch.task, ours.batch.engine, range(2))
     assert_say_the_same(ours.observe(), state, ("observation", "reward_terms"))
 
 
-def step_the_same(ours: NativeEnv, theirs: StockEnv, move: Tensor) -> TensorDictBase:
+def step_the_same(ours: TaskEnv, theirs: TaskEnv, move: Tensor) -> TensorDictBase:
     """Do an action [1, A] in stock and in both worlds; what came of it in stock."""
     after = theirs.step(TensorDict(action=move, batch_size=[1]))["next"]
     both = ours.step(TensorDict(action=move.expand(2, -1), batch_size=[2]))
@@ -200,7 +206,9 @@ def test_a_time_limit_is_truncated(task: Task, scene: Scene) -> None:
 
 
 def test_a_time_limit_is_truncated_in_stock(lift: Task, lift_scene: Scene) -> None:
-    steps = run(StockEnv(lift, stock=lift_scene.stock, horizon=3), actions(7, 1))
+    steps = run(
+        TaskEnv(StockBatch(lift, stock=lift_scene.stock, horizon=3)), actions(7, 1)
+    )
     truncated = stacked(steps, "next", "truncated").flatten().tolist()
     assert truncated == [False, False, True, False, False, True, False]
     assert not stacked(steps, "next", "terminated").any()
@@ -351,7 +359,7 @@ def test_a_seed_replays_its_episodes(task: Task, scene: Scene) -> None:
 
 
 def test_a_seed_replays_in_stock(task: Task, scene: Scene) -> None:
-    env = StockEnv(task, stock=scene.stock, horizon=2, seed=7)
+    env = TaskEnv(StockBatch(task, stock=scene.stock, horizon=2, seed=7))
     first = observed(env, actions(4, 1))
     later = env.reset()["observation"]
     env.set_seed(7)
@@ -382,7 +390,7 @@ def test_a_saved_environment_goes_on_where_it_was(task: Task, scene: Scene) -> N
     assert torch.equal(observed_from(other, moves[6:]), rest)
 
 
-def observed_from(env: NativeEnv, moves: Tensor) -> Tensor:
+def observed_from(env: TaskEnv, moves: Tensor) -> Tensor:
     state, found = env.observe(), []
     for move in moves:
         state["action"] = move[:, : env.action_spec.shape[-1]]
@@ -422,7 +430,7 @@ def test_a_broken_world_is_cut_off_and_starts_again(
 def test_a_nan_action_is_cut_off_in_stock(lift: Task, lift_scene: Scene) -> None:
     moves = actions(3, 1)
     moves[1, 0, 0] = torch.nan
-    steps = run(StockEnv(lift, stock=lift_scene.stock), moves)
+    steps = run(TaskEnv(StockBatch(lift, stock=lift_scene.stock)), moves)
     assert stacked(steps, "next", "truncated").flatten().tolist() == [0, 1, 0]
     assert torch.isfinite(stacked(steps, "next", "observation")).all()
 
@@ -432,7 +440,7 @@ def test_a_nan_action_is_cut_off_in_stock(lift: Task, lift_scene: Scene) -> None
 
 def test_a_hard_reset_is_read_from_its_new_simulation(lift: Task) -> None:
     stock = make_stock("Lift", seed=0, hard_reset=True)
-    env, sizes = StockEnv(lift, stock=stock), set()
+    env, sizes = TaskEnv(StockBatch(lift, stock=stock)), set()
     for _ in range(2):
         observation = env.reset()["observation"][0]
         expected = stock_reader(stock, lift.sensors)()["cube_pos"][0]

@@ -18,9 +18,9 @@ from manip.envs.backends.external_batch import (
 from manip.envs.backends.worker_pool import WorkerPool
 from manip.evaluation import runners as evaluation
 from manip.programs import cli, main
-from manip.sim.external.dm_control_sim import RIG, SOLVED, composer, manipulation
+from manip.robot_config import RobotConfig
+from manip.sim.external.dm_control_sim import ROBOT, SOLVED, composer, manipulation
 from manip.sim.robosuite_factory import make_stock, reseed
-from manip.sim.robot_config import RobotConfig
 from manip.training.config import recipe
 from manip.training.run_logs import read_metrics
 
@@ -30,8 +30,8 @@ DM, ROBOSUITE = "dm_control/reach_site_features", "robosuite/TwoArmPegInHole"
 
 
 def opened(name: str, num_envs: int = 2, **options: Any) -> ExternalBatch:
-    rig = RIG if name.startswith("dm_control") else RobotConfig()
-    options = {"threads": 1, "horizon": 6} | rig._asdict() | options
+    robot = ROBOT if name.startswith("dm_control") else RobotConfig()
+    options = {"threads": 1, "horizon": 6, "robot": robot} | options
     return ExternalBatch(load_external(name), num_envs, **options)
 
 
@@ -256,7 +256,7 @@ def test_mistakes_are_one_line(options: str, told: str, tmp_path: Path, capsys) 
 
 def test_tasks_of_a_library_share_its_recipe() -> None:
     found = recipe("dm_control/lift_brick_features", "sac")
-    assert (found.robot, found.controller, found.control_freq) == RIG
+    assert (found.robot, found.controller, found.control_freq) == ROBOT
     assert (found.fidelity, found.reward, found.horizon) == ("exact", "stock", 250)
     assert found.folder == Path("runs/dm_control-lift_brick_features-sac-0")
     assert recipe("robosuite/Door", "ppo").horizon == 500

@@ -338,8 +338,6 @@ def test_a_module_that_cannot_be_imported_is_told(
 def test_a_task_without_its_numbers_is_told(press: Task, monkeypatch) -> None:
     bare = type("Bare", (Task,), {"name": "bare", "milestones": ("near",)})
     monkeypatch.setattr(sys.modules["press"], "Bare", bare, raising=False)
-    missing = (
-        "measure, observe, .*, success, robosuite_name, sensors, horizon, weights, milestone_names$"
-    )
+    missing = "measure, observe, .*, success, robosuite_name, sensors, horizon, weights, milestone_names$"
     with pytest.raises(UserError, match=f"'press:Bare' does not define {missing}"):
         load_task("press:Bare")

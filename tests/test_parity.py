@@ -12,8 +12,8 @@ from twin import RESYNCED, copy_state, reading, start_twin, update_memory
 from manip.envs.task import Task
 from manip.envs.task_registry import load_task
 from manip.rewards.compose import weighted_sum
+from manip.robot_config import CONTROL_FREQUENCIES, CONTROLLERS, ROBOTS, RobotConfig
 from manip.sim.batch_engine import BatchEngine
-from manip.sim.robot_config import CONTROL_FREQUENCIES, CONTROLLERS, ROBOTS
 from manip.sim.scene import Scene, load_scene
 from manip.sim.stock_reader import stock_reader
 from manip.tasks.dirt import MARKERS
@@ -382,7 +382,7 @@ def test_touching_pads_are_stocks_grasp(lift_trace: list[TimeStep]) -> None:
 @pytest.mark.parametrize("controller", CONTROLLERS)
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_every_arm_lifts_as_in_stock(robot: str, controller: str, lift: Task) -> None:
-    scene = load_scene("Lift", lift.sensors, robot, controller, seed=3)
+    scene = load_scene("Lift", lift.sensors, RobotConfig(robot, controller), seed=3)
     assert_follows_stock(lift, scene, steps=10)
 
 
@@ -392,14 +392,16 @@ def test_every_arm_lifts_as_in_stock(robot: str, controller: str, lift: Task) ->
 def test_every_arm_reaches_as_in_stock(
     robot: str, controller: str, reach: Task
 ) -> None:
-    scene = load_scene("Reach", reach.sensors, robot, controller)
+    scene = load_scene("Reach", reach.sensors, RobotConfig(robot, controller))
     assert_follows_stock(reach, scene, steps=10)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("control_freq", CONTROL_FREQUENCIES)
 def test_every_control_frequency_follows_stock(control_freq: int, lift: Task) -> None:
-    scene = load_scene("Lift", lift.sensors, control_freq=control_freq, seed=3)
+    scene = load_scene(
+        "Lift", lift.sensors, RobotConfig(control_freq=control_freq), seed=3
+    )
     assert_follows_stock(lift, scene, steps=20)
 
 

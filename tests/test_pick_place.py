@@ -122,7 +122,7 @@ def test_the_floor_holds_parked_objects_in_exact_physics_only(scene_of) -> None:
     for fidelity in "exact", "fast":
         engine = BatchEngine(scene_of(task, fidelity=fidelity), 1)
         start = task.sample_start(engine.scene, EpisodeStreams(0, [0], [0]))
-        engine.write(np.arange(1), *start)
+        engine.reset(np.arange(1), *start)
         for _ in range(50):
             engine.step(np.zeros((1, 7)))
         low[fidelity] = engine.read()["other_Milk_pos"][0, 2]

@@ -19,8 +19,8 @@ from manip.envs.backends.external_batch import external_names
 from manip.envs.task_registry import task_names
 from manip.evaluation import runners as evaluation
 from manip.programs import cli, main
+from manip.robot_config import CONTROLLERS, ROBOTS
 from manip.sim import gl
-from manip.sim.robot_config import CONTROLLERS, ROBOTS
 from manip.training.config import ALGORITHMS, recipe_names
 
 ROOT = Path(__file__).parents[1]

@@ -15,7 +15,7 @@ from manip.evaluation import runners as evaluation
 from manip.evaluation.shipped_results import Results, Run, load_results, markdown
 from manip.programs import cli, reproduce
 from manip.programs.results import with_table
-from manip.sim.robot_config import ROBOTS, RobotConfig
+from manip.robot_config import ROBOTS
 from manip.training.config import recipe_names, recipes
 from manip.training.trainer import begin_or_resume
 
@@ -55,8 +55,8 @@ def test_a_shipped_policy_loads_and_has_a_result(name: str) -> None:
 @pytest.mark.parametrize("name", shipped_policies())
 def test_a_shipped_policy_fits_its_task(name: str) -> None:
     card = load_policy(name).card
-    rig = RobotConfig(card.robot, card.controller, card.control_freq)
-    worlds = NativeBatch(load_task(card.task), 1, **rig._asdict(), threads=1)
+    rig = card.robot_config
+    worlds = NativeBatch(load_task(card.task), 1, robot=rig, threads=1)
     assert worlds.action_dim == card.action_dim
     found = {name: [part.start, part.stop] for name, part in worlds.layout.items()}
     assert found == card.layout

@@ -76,7 +76,7 @@ def play(task: Task, scene: Scene) -> Play:
 def start(task: Task, engine: BatchEngine, episode: int) -> None:
     worlds = np.arange(engine.num_envs)
     streams = EpisodeStreams(0, worlds, np.full_like(worlds, episode))
-    engine.write(worlds, *task.sample_start(engine.scene, streams))
+    engine.reset(worlds, *task.sample_start(engine.scene, streams))
     update_memory(task, engine, worlds)
 
 

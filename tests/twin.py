@@ -41,7 +41,7 @@ def copy_start(task: Task, engine: BatchEngine, worlds: Iterable[int]) -> None:
     worlds = np.array(list(worlds))
     rows = np.zeros(len(worlds), dtype=int)
     fields = {name: read[name][rows] for name in task.sensors.fields}
-    engine.write(worlds, read["qpos"][rows], fields)
+    engine.reset(worlds, read["qpos"][rows], fields)
     update_memory(task, engine, worlds)
 
 

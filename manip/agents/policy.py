@@ -19,6 +19,7 @@ from manip.errors import UserError, one_line
 from manip.io.atomic_files import write_text
 from manip.io.dataclass_values import build
 from manip.io.tensor_trees import load_tree, save_tree
+from manip.robot_config import RobotConfig
 
 FORMAT = 2
 """Version of the policy files; raised when they change incompatibly."""
@@ -53,6 +54,11 @@ class PolicyCard:
     versions: dict[str, str]
     bins: int = 0
     format: int = FORMAT
+
+    @property
+    def robot_config(self) -> RobotConfig:
+        """Arm, controller and control frequency."""
+        return RobotConfig(self.robot, self.controller, self.control_freq)
 
     @property
     def name(self) -> str:

@@ -13,7 +13,7 @@ from rich.table import Table
 from manip.evaluation.episodes import Policy
 from manip.evaluation.runners import stock_episodes
 from manip.evaluation.statistics import Rate, success_rate
-from manip.sim.robot_config import RobotConfig
+from manip.robot_config import RobotConfig
 
 GOAL = 0.95
 """Rate of held success at which a task counts as learned."""
@@ -91,12 +91,12 @@ def _steps(attempts: Sequence[Attempt]) -> float | None:
     return finite(median(taken))
 
 
-def held_in_stock(task: str, policy: Policy, episodes: int, rig: RobotConfig) -> Rate:
+def held_in_stock(task: str, policy: Policy, episodes: int, robot: RobotConfig) -> Rate:
     """Rate of held success in stock robosuite, episodes 0, 1, ...; shows progress."""
     with Progress(console=Console(stderr=True), transient=True) as bar:
         running = bar.add_task("stock robosuite", total=episodes)
         found = stock_episodes(
-            task, policy, episodes, 0, rig, lambda n: bar.advance(running, n)
+            task, policy, episodes, 0, robot, lambda n: bar.advance(running, n)
         )
     return success_rate([episode.success_held for episode in found])
 

@@ -11,7 +11,8 @@ from manip.benchmarks.contest import Contest, Settings, speed
 from manip.benchmarks.task_envs import STEPS_A_ROUND, repeats, scene_of, started
 from manip.cpus import usable_cpus
 from manip.envs.adapters.gymnasium import TaskVectorEnv
-from manip.envs.adapters.torchrl import NativeEnv
+from manip.envs.adapters.torchrl import TaskEnv
+from manip.envs.make_batch import make_batch
 from manip.envs.task_registry import load_task
 from manip.sim.scene import Scene
 from manip.training.build import build_agent
@@ -42,12 +43,12 @@ def contest(settings: Settings) -> Contest:
     )
 
 
-def _env(settings: Settings, scene: Scene) -> NativeEnv:
+def _env(settings: Settings, scene: Scene) -> TaskEnv:
     task = load_task(settings.task)
-    return NativeEnv(task, settings.worlds, scene=scene, stagger=True)
+    return TaskEnv(make_batch(task, settings.worlds, scene=scene, stagger=True))
 
 
-def random_steps(env: NativeEnv) -> Callable[[], int]:
+def random_steps(env: TaskEnv) -> Callable[[], int]:
     """A function that resets an environment and acts at random in it."""
     steps = max(2, STEPS_A_ROUND // env.worlds.num_envs)
 
@@ -75,7 +76,7 @@ def _vector_steps(settings: Settings, scene: Scene) -> Callable[[], int]:
     return go
 
 
-def _collect(env: NativeEnv, task: str) -> Callable[[], int]:
+def _collect(env: TaskEnv, task: str) -> Callable[[], int]:
     """The worlds go on where they stopped, as in training, with an untrained actor."""
     config = recipe(task, "sac")
     assert isinstance(config.agent, SACConfig)

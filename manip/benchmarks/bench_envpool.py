@@ -15,8 +15,8 @@ from manip.benchmarks.bench_env import random_steps
 from manip.benchmarks.contest import Contest, Settings, speed
 from manip.benchmarks.task_envs import STEPS_A_ROUND, repeats, scene_of, started
 from manip.cpus import usable_cpus
-from manip.envs.adapters.torchrl import NativeEnv
-from manip.envs.task_registry import load_task
+from manip.envs.adapters.torchrl import TaskEnv
+from manip.envs.make_batch import make_batch
 from manip.errors import UserError
 
 TASK = "PandaPickCube-v1"
@@ -27,7 +27,7 @@ def contest(settings: Settings) -> Contest:
     peer = _peer(settings.worlds)
     scene = scene_of(settings.task, "fast")
     engine = started(settings.task, scene, settings.worlds, usable_cpus())
-    env = NativeEnv(load_task(settings.task), settings.worlds, scene=scene)
+    env = TaskEnv(make_batch(settings.task, settings.worlds, scene=scene))
     return Contest(
         f"{settings.worlds} worlds, {usable_cpus()} threads, 20 Hz in 5 ms substeps",
         {

@@ -22,8 +22,8 @@ engine = BatchEngine(scene, {worlds})
 engine.step(np.zeros(({worlds}, scene.layout.action_dim)))
 """
 ENVIRONMENT = """
-from manip.envs import NativeEnv, load_task
-env = NativeEnv(load_task({task!r}), {worlds})
+from manip.envs import TaskEnv, make_batch
+env = TaskEnv(make_batch({task!r}, {worlds}))
 state = env.reset()
 state["action"] = env.action_spec.zero()
 env.step_and_maybe_reset(state)

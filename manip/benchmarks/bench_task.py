@@ -13,7 +13,6 @@ from manip.agents.policy import load_policy
 from manip.benchmarks.attempts import Attempt, held_in_stock
 from manip.benchmarks.peers import peer
 from manip.errors import UserError
-from manip.sim.robot_config import RobotConfig
 from manip.training.run_logs import read_metrics
 
 WARM_UP = ("--steps", "1", "--eval-episodes", "1")
@@ -39,10 +38,8 @@ def _attempt(task: str, seed: int, folder: Path, episodes: int) -> Attempt:
     _train(task, seed, folder)
     seconds = time.monotonic() - began
     policy = load_policy(folder)
-    rig = RobotConfig(
-        policy.card.robot, policy.card.controller, policy.card.control_freq
-    )
-    held = held_in_stock(task, policy, episodes, rig)
+    robot = policy.card.robot_config
+    held = held_in_stock(task, policy, episodes, robot)
     steps = int(read_metrics(folder / "metrics.csv")[-1]["env_steps"])
     return Attempt("manip SAC", seed, seconds, steps, held)
 

@@ -25,7 +25,7 @@ def started(task: str, scene: Scene, worlds: int, threads: int) -> BatchEngine:
     """An engine whose worlds have just begun the same episodes, whatever threads."""
     engine, each = BatchEngine(scene, worlds, threads), np.arange(worlds)
     start = load_task(task).sample_start(scene, EpisodeStreams(0, each, 0 * each))
-    engine.write(each, start.qpos, start.fields)
+    engine.reset(each, start.qpos, start.fields)
     return engine
 
 

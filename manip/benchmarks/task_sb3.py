@@ -14,7 +14,7 @@ from torch import nn
 from manip.benchmarks.attempts import GOAL, Attempt, held_in_stock
 from manip.envs.adapters.gymnasium import TaskEnv
 from manip.evaluation.statistics import Rate
-from manip.sim.robot_config import RobotConfig
+from manip.robot_config import RobotConfig
 
 NAME = "SB3 SAC"
 

@@ -115,6 +115,14 @@ class TaskBatch(ABC):
     def _move(self, action: Array) -> Array:
         """Advance all worlds by one control step; [N] bool, the worlds that broke."""
 
+    def save_state(self) -> dict[str, Any]:
+        """Everything the coming steps depend on."""
+        raise UserError(f"{type(self).__name__} cannot save its state")
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Put back what `save_state` gave; `observe` then shows it."""
+        raise UserError(f"{type(self).__name__} cannot restore a state")
+
     def restart(self, seed: int | None = None) -> None:
         """Begin anew: every world's next episode is the first of the seed."""
         self.seed = self.seed if seed is None else seed

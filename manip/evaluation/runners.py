@@ -9,11 +9,10 @@ from typing import Literal
 import torch
 
 from manip.cpus import usable_cpus
-from manip.envs.adapters.torchrl import ExternalEnv, NativeEnv, StockEnv, TaskEnv
-from manip.envs.backends.external_batch import ExternalTask
-from manip.envs.task_registry import load_task
+from manip.envs.adapters.torchrl import TaskEnv
+from manip.envs.make_batch import make_batch
 from manip.evaluation.episodes import Episode, Policy, run_episodes
-from manip.sim.robot_config import RobotConfig
+from manip.robot_config import RobotConfig
 from manip.sim.scene import Fidelity
 
 Where = Literal["stock", "native"]
@@ -29,7 +28,7 @@ def native_episodes(
     policy: Policy,
     episodes: int,
     seed: int,
-    rig: RobotConfig,
+    robot: RobotConfig,
     fidelity: Fidelity,
     layout: Layout | None = None,
 ) -> list[Episode]:
@@ -38,13 +37,8 @@ def native_episodes(
     Raises:
         UserError: the layout is given, and is not that of the task's observation.
     """
-    env = NativeEnv(
-        load_task(task),
-        episodes,
-        **rig._asdict(),
-        fidelity=fidelity,
-        seed=seed,
-    )
+    batch = make_batch(task, episodes, robot=robot, fidelity=fidelity, seed=seed)
+    env = TaskEnv(batch)
     if layout is not None:
         env.batch.check_layout(layout)
     return run_episodes(env, policy, episodes)
@@ -55,7 +49,7 @@ def stock_episodes(
     policy: Policy,
     episodes: int,
     seed: int,
-    rig: RobotConfig,
+    robot: RobotConfig,
     progress: Progress = lambda _: None,
     layout: Layout | None = None,
 ) -> list[Episode]:
@@ -71,13 +65,13 @@ def stock_episodes(
     seeds = range(seed, seed + episodes)
     workers = min(usable_cpus(), episodes)
     if workers == 1:
-        _open_worker(policy, task, rig, layout)
+        _open_worker(policy, task, robot, layout)
         return list(_counted(map(_episode, seeds), progress))
     pool = ProcessPoolExecutor(
         workers,
         multiprocessing.get_context("spawn"),
         _open_worker,
-        (policy, task, rig, layout),
+        (policy, task, robot, layout),
     )
     with pool:
         return list(_counted(pool.map(_episode, seeds), progress))
@@ -99,15 +93,11 @@ _worker: dict[str, tuple[TaskEnv, Policy, Layout | None]] = {}
 
 
 def _open_worker(
-    policy: Policy, task: str, rig: RobotConfig, layout: Layout | None
+    policy: Policy, task: str, robot: RobotConfig, layout: Layout | None
 ) -> None:
     torch.set_num_threads(1)
-    found, options = load_task(task), rig._asdict() | {"hard_reset": True}
-    env = (
-        ExternalEnv(found, 1, **options)
-        if isinstance(found, ExternalTask)
-        else StockEnv(found, **options)
-    )
+    batch = make_batch(task, backend="stock", robot=robot, hard_reset=True)
+    env = TaskEnv(batch)
     _worker["now"] = (env, policy, layout)
 
 

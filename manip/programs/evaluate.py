@@ -19,7 +19,6 @@ from manip.evaluation.report import Evaluation, summarise, table
 from manip.evaluation.runners import Where, native_episodes, stock_episodes, timed
 from manip.io.atomic_files import write_text
 from manip.programs import cli
-from manip.sim.robot_config import RobotConfig
 from manip.sim.scene import Fidelity
 from manip.versions import versions
 
@@ -83,7 +82,7 @@ def evaluate(options: Evaluate) -> Evaluation:
 
 def _episodes(options: Evaluate, policy: Policy) -> Sequence[Episode]:
     card = policy.card
-    rig = RobotConfig(card.robot, card.controller, card.control_freq)
+    rig = card.robot_config
     asked = (card.task, policy, options.episodes, options.seed)
     if options.env == "native":
         return native_episodes(*asked, rig, options.fidelity, card.layout)

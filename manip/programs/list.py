@@ -11,7 +11,7 @@ from manip.agents.policy import shipped_policies
 from manip.envs.backends.external_batch import external_names
 from manip.envs.task_registry import task_names
 from manip.programs import cli
-from manip.sim.robot_config import CONTROLLERS, ROBOTS
+from manip.robot_config import CONTROLLERS, ROBOTS
 from manip.training.config import ALGORITHMS, recipe_names
 
 

@@ -3,15 +3,17 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import numpy as np
 import tyro
 from tensordict import TensorDictBase
 
 from manip.agents.policy import load_policy
-from manip.envs.adapters.torchrl import NativeEnv
-from manip.envs.task_registry import check_origin, load_task
+from manip.envs.adapters.torchrl import TaskEnv
+from manip.envs.backends.native_batch import NativeBatch
+from manip.envs.make_batch import make_batch
+from manip.envs.task_registry import check_origin
 from manip.errors import at_least
 from manip.evaluation.episodes import run_episodes
 from manip.io.video import Caption, save_animation
@@ -60,13 +62,10 @@ def film(options: Render) -> None:
     policy = load_policy(options.run)
     card = policy.card
     check_origin(card.task, options.run)
-    env = NativeEnv(
-        load_task(card.task),
-        options.episodes,
-        robot=card.robot,
-        controller=card.controller,
-        control_freq=card.control_freq,
-        seed=options.seed,
+    env = TaskEnv(
+        make_batch(
+            card.task, options.episodes, robot=card.robot_config, seed=options.seed
+        )
     )
     env.batch.check_layout(card.layout)
     recorder = Recorder(env)
@@ -78,28 +77,28 @@ def film(options: Render) -> None:
 class Recorder:
     """Keeps the worlds' states as they pass, and draws them afterwards."""
 
-    def __init__(self, env: NativeEnv) -> None:
-        self._worlds = env.batch
+    def __init__(self, env: TaskEnv) -> None:
+        self._batch = cast(NativeBatch, env.batch)
         self._states: list[Array] = []
         self._success: list[Array] = []
 
     def __call__(self, state: TensorDictBase) -> None:
         """Take in the worlds as they are now."""
-        self._states.append(self._worlds.engine.states.copy())
+        self._states.append(self._batch.engine.states.copy())
         self._success.append(state["success"].squeeze(-1).numpy().copy())
 
     def frames(self, options: Render) -> Iterator[Array]:
         """Pictures [H, W, 3] uint8 of all episodes, one after the other."""
         states = np.stack(self._states)[: options.steps]
         success = np.stack(self._success)[: options.steps]
-        for world in range(self._worlds.num_envs):
+        for world in range(self._batch.num_envs):
             captions = [
                 Caption(_words(world, step, bool(done)), bool(done))
                 for step, done in enumerate(success[:, world])
             ]
             yield from render_frames(
-                self._worlds.engine.visual_model(states[0, world]),
-                states[:, world, : self._worlds.scene.visual.nq],
+                self._batch.engine.visual_model(states[0, world]),
+                states[:, world, : self._batch.scene.visual.nq],
                 options.camera,
                 options.width,
                 options.height,

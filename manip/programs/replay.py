@@ -16,10 +16,8 @@ from manip.envs.task_registry import check_origin, load_task
 from manip.errors import UserError, one_line
 from manip.io.tensor_trees import load_tree
 from manip.programs import cli
+from manip.robot_config import RobotConfig
 from manip.sim.batch_engine import Snapshot
-
-RIG = ("robot", "controller", "control_freq", "fidelity")
-"""What a dump says of its arm and physics; nothing else of it becomes an option."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +61,9 @@ def main(arguments: Sequence[str]) -> int:
 
 def _world(dump: dict[str, Any]) -> NativeBatch:
     """The one world, as it was before the step."""
-    task, rig = load_task(dump["task"]), dump["rig"]
-    options = {name: rig[name] for name in RIG} | {"reward": dump["reward"]}
-    worlds = NativeBatch(task, 1, **options, threads=1)
+    robot = RobotConfig(**dump["robot"])
+    options = {"fidelity": dump["fidelity"], "reward": dump["reward"]}
+    worlds = NativeBatch(load_task(dump["task"]), 1, robot=robot, threads=1, **options)
     worlds.begin(np.zeros(1, int))
     worlds.engine.restore(Snapshot(dump["state"][None], dump["readings"][None]))
     return worlds

@@ -25,7 +25,7 @@ from manip.io.atomic_files import write_text
 from manip.programs import cli
 from manip.programs.evaluate import Evaluate, evaluate
 from manip.programs.results import table
-from manip.sim.robot_config import ROBOTS
+from manip.robot_config import ROBOTS
 from manip.training.build import imitates
 from manip.training.config import TrainConfig, recipes
 from manip.training.trainer import Trainer, begin_or_resume

@@ -13,7 +13,7 @@ from manip.envs.backends.external_batch import ExternalTask
 from manip.envs.task_registry import check_origin, load_task
 from manip.errors import UserError, check_choice, unknown
 from manip.programs import cli
-from manip.sim.robot_config import ROBOTS
+from manip.robot_config import ROBOTS
 from manip.training.config import ALGORITHMS, TrainConfig, recipe, recorded
 from manip.training.trainer import Trainer
 

@@ -71,12 +71,15 @@ class BatchEngine:
         self.broken_count = 0
         self._refresh(np.arange(num_envs))
 
-    def step(self, action: Array) -> None:
+    def step(self, action: Array) -> Array:
         """Advance every world by one control period.
 
         Args:
             action: [N, A] in [-1, 1] (clipped): the arm's part, then the gripper's,
                 positive closing; only the sign of the latter counts.
+
+        Returns:
+            [N] bool, the `broken` environments.
         """
         action = np.ascontiguousarray(action, dtype=np.float64)
         expected = (self.num_envs, self.scene.layout.action_dim)
@@ -103,8 +106,9 @@ class BatchEngine:
 
         self._share(work, self.num_envs)
         self.broken_count += int(self.broken.sum())
+        return self.broken
 
-    def write(
+    def reset(
         self, worlds: Array, qpos: Array, fields: Mapping[str, Array] | None = None
     ) -> None:
         """Start new episodes in some worlds, as a reset of robosuite does.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from manip.errors import check_choice
-from manip.sim.robot_config import RobotConfig, check_robot_config
+from manip.robot_config import RobotConfig, check_robot_config
 
 logging.getLogger("robosuite_logs").addFilter(lambda r: r.levelno >= logging.ERROR)
 _gl_backend = os.environ.get("MUJOCO_GL")
@@ -30,12 +30,12 @@ if _gl_backend is None:
 PHYSICS_DT = 0.002
 """robosuite's simulation timestep [s] (robosuite/macros.py)."""
 
+PANDA = RobotConfig()
+
 
 def make_stock(
     name: str,
-    robot: str = "Panda",
-    controller: str = "OSC_POSE",
-    control_freq: int = 20,
+    robot: RobotConfig = PANDA,
     seed: int | None = None,
     **options: Any,
 ) -> Any:
@@ -48,7 +48,7 @@ def make_stock(
     Raises:
         UserError: unknown robot, controller, environment or control frequency.
     """
-    check_robot_config(RobotConfig(robot, controller, control_freq))
+    check_robot_config(robot)
     check_choice("robosuite environment", name, robosuite.ALL_ENVIRONMENTS)
     settings = {
         "has_renderer": False,
@@ -56,13 +56,13 @@ def make_stock(
         "use_camera_obs": False,
         "hard_reset": False,
         "reward_shaping": True,
-        "controller_configs": _controller_config(controller, robot),
-        "control_freq": control_freq,
+        "controller_configs": _controller_config(robot),
+        "control_freq": robot.control_freq,
         "seed": seed,
         "ignore_done": True,
     }
     arms = 2 if issubclass(REGISTERED_ENVS[name], TwoArmEnv) else 1
-    return robosuite.make(name, robots=[robot] * arms, **(settings | options))
+    return robosuite.make(name, robots=[robot.arm] * arms, **(settings | options))
 
 
 def environment_names() -> tuple[str, ...]:
@@ -79,8 +79,8 @@ def reseed(env: Any, seed: int) -> None:
     env.rng.bit_generator.state = np.random.default_rng(seed).bit_generator.state
 
 
-def _controller_config(controller: str, robot: str) -> Any:
-    if controller == "OSC_POSE":
+def _controller_config(robot: RobotConfig) -> Any:
+    if robot.controller == "OSC_POSE":
         return None
-    part = load_part_controller_config(default_controller=controller)
-    return refactor_composite_controller_config(part, robot, ["right"])
+    part = load_part_controller_config(default_controller=robot.controller)
+    return refactor_composite_controller_config(part, robot.arm, ["right"])

@@ -7,7 +7,8 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
-from manip.sim.robosuite_factory import PHYSICS_DT, make_stock
+from manip.robot_config import RobotConfig
+from manip.sim.robosuite_factory import PANDA, PHYSICS_DT, make_stock
 from manip.sim.robot_model import hand_kind
 from manip.sim.scene_layout import SceneLayout, read_scene_layout
 from manip.sim.sensors import Sensors
@@ -87,9 +88,7 @@ def build_scene(
 def load_scene(
     name: str,
     sensors: Sensors,
-    robot: str = "Panda",
-    controller: str = "OSC_POSE",
-    control_freq: int = 20,
+    robot: RobotConfig = PANDA,
     fidelity: Fidelity = "exact",
     seed: int | None = 0,
 ) -> Scene:
@@ -97,8 +96,8 @@ def load_scene(
 
     seed: fixes what robosuite samples at construction (Lift's cube size).
     """
-    stock = make_stock(name, robot, controller, control_freq, seed)
-    return build_scene(stock, sensors, control_freq, fidelity)
+    stock = make_stock(name, robot, seed)
+    return build_scene(stock, sensors, robot.control_freq, fidelity)
 
 
 def _physics(stock: Any, fidelity: Fidelity, dt: float) -> mujoco.MjSpec:

@@ -19,8 +19,9 @@ from manip.agents.sac import SAC, SACConfig
 from manip.agents.td3 import TD3, TD3Config
 from manip.agents.trpo import TRPO, TRPOConfig
 from manip.cpus import usable_cpus
-from manip.envs.adapters.torchrl import ExternalEnv, NativeEnv, TaskEnv
+from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.backends.external_batch import ExternalTask
+from manip.envs.make_batch import make_batch
 from manip.envs.task_registry import load_task
 from manip.errors import UserError
 from manip.training.config import TrainConfig
@@ -47,7 +48,7 @@ WORKER_SEED = 10_000_000
 """Added to a run's seed for each worker after the first: episodes of its own."""
 
 
-def training_envs(config: TrainConfig) -> list[NativeEnv | ExternalEnv]:
+def training_envs(config: TrainConfig) -> list[TaskEnv]:
     """The worlds that a run learns from: a share of them for each of its workers.
 
     Raises:
@@ -73,9 +74,7 @@ def imitates(config: TrainConfig) -> bool:
     return bool(AGENTS[type(config.agent)].imitates)
 
 
-def _training_env(
-    config: TrainConfig, worker: int, workers: int
-) -> NativeEnv | ExternalEnv:
+def _training_env(config: TrainConfig, worker: int, workers: int) -> TaskEnv:
     env = _env(
         config,
         config.num_envs // workers,
@@ -92,22 +91,20 @@ def _training_env(
     return env
 
 
-def evaluation_env(config: TrainConfig) -> NativeEnv | ExternalEnv:
+def evaluation_env(config: TrainConfig) -> TaskEnv:
     """The worlds that a run is judged in: exact physics, the task's own horizon."""
     seed = config.seed + EVAL_SEED
     return _env(config, config.eval_episodes, threads=config.threads, seed=seed)
 
 
-def _env(config: TrainConfig, worlds: int, **options: Any) -> NativeEnv | ExternalEnv:
+def _env(
+    config: TrainConfig, num_envs: int, expert: bool = False, **options: Any
+) -> TaskEnv:
     task = load_task(config.task)
-    options |= {
-        "robot": config.robot,
-        "controller": config.controller,
-        "control_freq": config.control_freq,
-    }
-    if isinstance(task, ExternalTask):
-        return ExternalEnv(task, worlds, **options)
-    return NativeEnv(task, worlds, dumps=config.folder / "dumps", **options)
+    if not isinstance(task, ExternalTask):
+        options["dumps"] = config.folder / "dumps"
+    batch = make_batch(task, num_envs, robot=config.robot_config, **options)
+    return TaskEnv(batch, expert)
 
 
 def build_agent(config: TrainConfig, env: TaskEnv) -> Agent:

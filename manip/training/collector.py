@@ -12,7 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from manip.agents.agent import Agent
-from manip.envs.adapters.torchrl import ExternalEnv, NativeEnv
+from manip.envs.adapters.torchrl import TaskEnv
 from manip.evaluation.episodes import Episode, EpisodeTracker
 
 
@@ -61,9 +61,7 @@ class Collector:
     whoever is, so that a run still repeats itself bit for bit.
     """
 
-    def __init__(
-        self, envs: Sequence[NativeEnv | ExternalEnv], agent: Agent, ahead: bool
-    ) -> None:
+    def __init__(self, envs: Sequence[TaskEnv], agent: Agent, ahead: bool) -> None:
         self._envs, self._agent, self._ahead = envs, agent, ahead
         self._rollouts = [Rollout(env) for env in envs]
         self._pool = ThreadPoolExecutor(len(envs), "manip-collect")

@@ -22,6 +22,7 @@ from manip.agents.trpo import TRPOConfig
 from manip.envs.task_registry import task_names
 from manip.errors import UserError, one_line, unknown
 from manip.io.dataclass_values import build
+from manip.robot_config import RobotConfig
 from manip.sim.scene import Fidelity
 from manip.training.option_ranges import check_options
 
@@ -117,6 +118,11 @@ class TrainConfig:
     def __post_init__(self) -> None:
         check_options(self)
         check_options(self.agent)
+
+    @property
+    def robot_config(self) -> RobotConfig:
+        """Arm, controller and control frequency."""
+        return RobotConfig(self.robot, self.controller, self.control_freq)
 
     @property
     def folder(self) -> Path:

@@ -6,7 +6,7 @@ import dm_env
 import numpy as np
 from dm_env import specs
 
-from manip.envs.backends.make import Where, one_world
+from manip.envs.make_batch import Backend, make_batch
 from manip.envs.task_batch import TimeStep
 
 Array = np.ndarray
@@ -20,15 +20,15 @@ class TaskEnvironment(dm_env.Environment):
 
     Args:
         task: name of the task, or package.module:Task.
-        env: "native" for the batch engine, "stock" for robosuite itself.
+        backend: "native" for the batch engine, "stock" for robosuite itself.
         options: as in `NativeBatch` or `StockBatch` (robot, horizon, seed, ...).
 
     Attributes:
         success: whether the goal holds now.
     """
 
-    def __init__(self, task: str, env: Where = "native", **options: Any) -> None:
-        self._worlds = one_world(task, env, **options)
+    def __init__(self, task: str, backend: Backend = "native", **options: Any) -> None:
+        self._worlds = make_batch(task, backend=backend, **options)
         self._over = True
         self.success = False
 

@@ -6,7 +6,7 @@ Importing this module registers every task as `manip/<task>-v0`:
     import manip.envs.adapters.gymnasium
 
     envs = gymnasium.make_vec("manip/Lift-v0", num_envs=64)  # the batch engine
-    env = gymnasium.make("manip/Lift-v0", env="stock")  # robosuite itself
+    env = gymnasium.make("manip/Lift-v0", backend="stock")  # robosuite itself
 
 `info` says `success`, and `milestones` and `reward_terms` by their names. A time limit is a
 truncation; so is a world that breaks.
@@ -22,10 +22,10 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from manip.envs.backends.make import Where, one_world
-from manip.envs.backends.native_batch import NativeBatch
+from manip.envs.make_batch import PANDA, Backend, make_batch
 from manip.envs.task_batch import TaskBatch, TimeStep
 from manip.envs.task_registry import load_task, task_names
+from manip.robot_config import RobotConfig
 from manip.sim.renderer import render_frames
 
 Array = np.ndarray
@@ -58,8 +58,8 @@ class TaskVectorEnv(VectorEnv):
         max_episode_steps: int | None = None,
         **options: Any,
     ) -> None:
-        self.batch = NativeBatch(
-            load_task(task), num_envs, horizon=max_episode_steps, seed=0, **options
+        self.batch = make_batch(
+            task, num_envs, horizon=max_episode_steps, seed=0, **options
         )
         self.num_envs = num_envs
         self.single_observation_space = _observation_space(self.batch)
@@ -101,9 +101,9 @@ class TaskEnv(gymnasium.Env):
 
     Args:
         task: name of the task, or package.module:Task.
-        env: "native" for the batch engine, "stock" for robosuite itself.
+        backend: "native" for the batch engine, "stock" for robosuite itself.
         render_mode: "rgb_array", if `render` is to draw.
-        control_freq: control steps a second [Hz].
+        robot: arm, controller and control frequency.
         options: as in `NativeBatch` or `StockBatch`, without the seed.
     """
 
@@ -113,14 +113,14 @@ class TaskEnv(gymnasium.Env):
         self,
         task: str,
         *,
-        env: Where = "native",
+        backend: Backend = "native",
         render_mode: str | None = None,
-        control_freq: int = 20,
+        robot: RobotConfig = PANDA,
         **options: Any,
     ) -> None:
-        self.metadata = self.metadata | {"render_fps": control_freq}
-        self.batch = one_world(
-            task, env, horizon=ENDLESS, seed=0, control_freq=control_freq, **options
+        self.metadata = self.metadata | {"render_fps": robot.control_freq}
+        self.batch = make_batch(
+            task, backend=backend, robot=robot, horizon=ENDLESS, seed=0, **options
         )
         self.observation_space = _observation_space(self.batch)
         self.action_space = _action_space(self.batch)

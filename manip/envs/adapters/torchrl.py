@@ -16,17 +16,18 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from manip.envs.backends.external_batch import ExternalBatch, ExternalTask
-from manip.envs.backends.native_batch import NativeBatch
-from manip.envs.backends.stock_batch import StockBatch
-from manip.envs.task import Task
 from manip.envs.task_batch import TaskBatch, TimeStep
 
 Array = np.ndarray
 
 
 class TaskEnv(EnvBase):
-    """TorchRL environment of worlds, which it keeps as `worlds`."""
+    """TorchRL environment of a task batch.
+
+    Args:
+        batch: the environments.
+        expert: whether each step gives the action of the task's expert, too.
+    """
 
     batch_locked = True
 
@@ -92,56 +93,6 @@ class TaskEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         self.batch.restart(seed or 0)
-
-
-class NativeEnv(TaskEnv):
-    """TorchRL environment of a task on the batch engine.
-
-    Args:
-        task: what is to be done.
-        num_envs: N.
-        expert: whether to give the action of the task's expert.
-        options: as in `manip.envs.backends.native_batch.NativeBatch`.
-    """
-
-    batch: NativeBatch
-
-    def __init__(
-        self, task: Task, num_envs: int, expert: bool = False, **options: Any
-    ) -> None:
-        super().__init__(NativeBatch(task, num_envs, **options), expert)
-
-
-class ExternalEnv(TaskEnv):
-    """TorchRL environment of another library's task, stepped by that library.
-
-    Args:
-        task: what is to be done.
-        num_envs: N.
-        expert: as in `NativeEnv`.
-        options: as in `manip.envs.backends.external_batch.ExternalBatch`.
-    """
-
-    batch: ExternalBatch
-
-    def __init__(
-        self, task: ExternalTask, num_envs: int, expert: bool = False, **options: Any
-    ) -> None:
-        super().__init__(ExternalBatch(task, num_envs, **options), expert)
-
-
-class StockEnv(TaskEnv):
-    """TorchRL environment of a task that steps `robosuite.make(...)` itself.
-
-    Args:
-        task: what is to be done.
-        options: as in `manip.envs.backends.stock_batch.StockBatch`.
-    """
-
-    batch: StockBatch
-
-    def __init__(self, task: Task, **options: Any) -> None:
-        super().__init__(StockBatch(task, **options))
 
 
 def _columns(values: Iterable[Array]) -> torch.Tensor:

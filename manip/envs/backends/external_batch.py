@@ -16,8 +16,9 @@ from manip.envs.backends.worker_pool import WorkerPool
 from manip.envs.task import Measures, Start, Task
 from manip.envs.task_batch import TaskBatch
 from manip.errors import UserError, check_choice
+from manip.robot_config import RobotConfig
 from manip.sim.external.external_sim import ExternalSim, ExternalStep
-from manip.sim.robot_config import RobotConfig
+from manip.sim.robosuite_factory import PANDA
 from manip.sim.sensors import Sensors
 
 Array = np.ndarray
@@ -147,7 +148,7 @@ class ExternalBatch(TaskBatch):
     Args:
         task: what is to be done.
         num_envs: N.
-        robot, controller, control_freq: the arms, as in `manip.sim.robosuite_factory.make_stock`.
+        robot: the arms, their controller and control frequency.
         fidelity, reward, restart_fraction: "exact", "stock" and 0: nothing else is possible.
         threads: processes; the CPUs this process may use unless given.
         stagger: begin the first episodes at different times, so that the worlds do not
@@ -166,9 +167,7 @@ class ExternalBatch(TaskBatch):
         task: ExternalTask,
         num_envs: int,
         *,
-        robot: str = "Panda",
-        controller: str = "OSC_POSE",
-        control_freq: int = 20,
+        robot: RobotConfig = PANDA,
         fidelity: str = "exact",
         threads: int | None = None,
         horizon: int | None = None,
@@ -183,10 +182,9 @@ class ExternalBatch(TaskBatch):
                 f"{task.name} has its library's own physics and starts: it needs "
                 f"fidelity exact and restart_fraction 0, not {fidelity} and {restart_fraction}"
             )
-        rig = RobotConfig(robot, controller, control_freq)
-        task.module().check_robot_config(rig)
+        task.module().check_robot_config(robot)
         processes = min(threads or usable_cpus(), num_envs)
-        make = partial(_open, task, rig, seed, hard_reset)
+        make = partial(_open, task, robot, seed, hard_reset)
         self._crew = WorkerPool(make, num_envs, processes)
         first: ExternalStep = self._crew.ask("start", {0: (0,)})[0]
         self._sights = [first] * num_envs
@@ -258,9 +256,9 @@ class ExternalBatch(TaskBatch):
 
 
 def _open(
-    task: ExternalTask, rig: RobotConfig, seed: int, hard_reset: bool, world: int
+    task: ExternalTask, robot: RobotConfig, seed: int, hard_reset: bool, world: int
 ) -> ExternalSim:
     opened: ExternalSim = task.module().open_world(
-        task.environment, rig, seed + world, hard_reset
+        task.environment, robot, seed + world, hard_reset
     )
     return opened

@@ -14,7 +14,9 @@ from manip.envs.task import Measures, Task
 from manip.envs.task_batch import TaskBatch, TimeStep
 from manip.envs.task_check import blamed, check_start
 from manip.errors import UserError
+from manip.robot_config import RobotConfig
 from manip.sim.batch_engine import BatchEngine, Snapshot
+from manip.sim.robosuite_factory import PANDA
 from manip.sim.scene import Fidelity, Scene, load_scene
 
 DUMP_FORMAT = 1
@@ -30,7 +32,7 @@ class NativeBatch(TaskBatch):
     Args:
         task: what is to be done.
         num_envs: N.
-        robot, controller, control_freq: as in `manip.sim.robosuite_factory.make_stock`.
+        robot: arm, controller and control frequency.
         fidelity: "exact" (stock physics) or "fast" (for training and sweeps).
         threads: native threads; the CPUs this process may use unless given.
         stagger: begin the first episodes at random times, so that the worlds do not
@@ -51,9 +53,7 @@ class NativeBatch(TaskBatch):
         task: Task,
         num_envs: int,
         *,
-        robot: str = "Panda",
-        controller: str = "OSC_POSE",
-        control_freq: int = 20,
+        robot: RobotConfig = PANDA,
         fidelity: Fidelity = "exact",
         threads: int | None = None,
         horizon: int | None = None,
@@ -68,8 +68,7 @@ class NativeBatch(TaskBatch):
             raise UserError(f"{task.name} is not on the batch engine")
         with blamed(task):
             self.scene = scene or load_scene(
-                *(task.robosuite_name, task.sensors, robot, controller),
-                *(control_freq, fidelity),
+                task.robosuite_name, task.sensors, robot, fidelity
             )
             milestones = len(task.milestone_names)
         self.engine = BatchEngine(self.scene, num_envs, threads)
@@ -78,12 +77,7 @@ class NativeBatch(TaskBatch):
         self._bank = (
             RestartBuffer(milestones, self.engine.save()) if restart_fraction else None
         )
-        self._rig = {
-            "robot": robot,
-            "controller": controller,
-            "control_freq": control_freq,
-            "fidelity": fidelity,
-        }
+        self._robot, self._fidelity = robot, fidelity
         self._dumps = dumps
         self._before = self.engine.save(), np.zeros(0)
         action_dim = self.scene.layout.action_dim
@@ -112,7 +106,7 @@ class NativeBatch(TaskBatch):
         episodes = self.episode[worlds]
         streams = EpisodeStreams(self.seed, worlds, episodes)
         start = self.task.sample_start(self.scene, streams)
-        self.engine.write(worlds, start.qpos, start.fields)
+        self.engine.reset(worlds, start.qpos, start.fields)
         if self._stagger:
             first = episodes == 0
             begun = streams.uniform(0, self.horizon, 1)[:, 0].astype(np.int64)
@@ -129,8 +123,7 @@ class NativeBatch(TaskBatch):
     def _move(self, action: np.ndarray) -> np.ndarray:
         if self._dumps:
             self._before = self.engine.save(), action
-        self.engine.step(action)
-        return self.engine.broken
+        return self.engine.step(action)
 
     def _kept(self, fault: Fault) -> str:
         if not self._dumps or not fault.step or _count(self._dumps) >= MOST_DUMPS:
@@ -146,7 +139,8 @@ class NativeBatch(TaskBatch):
         step = {
             "fault": fault._asdict(),
             "task": f"{type(self.task).__module__}:{type(self.task).__qualname__}",
-            "rig": self._rig,
+            "robot": self._robot._asdict(),
+            "fidelity": self._fidelity,
             "reward": self.reward_set,
             "state": before.states[fault.world],
             "readings": before.readings[fault.world],

@@ -7,7 +7,8 @@ import numpy as np
 
 from manip.envs.task import Measures, Task
 from manip.envs.task_batch import TaskBatch
-from manip.sim.robosuite_factory import make_stock, reseed
+from manip.robot_config import RobotConfig
+from manip.sim.robosuite_factory import PANDA, make_stock, reseed
 from manip.sim.stock_reader import stock_reader
 
 Array = np.ndarray
@@ -22,7 +23,7 @@ class StockBatch(TaskBatch):
 
     Args:
         task: what is to be done.
-        robot, controller, control_freq, horizon, reward, seed: as in `NativeBatch`.
+        robot, horizon, reward, seed: as in `NativeBatch`.
         hard_reset: rebuild the model at every reset, as robosuite does by default;
             what it samples when it builds (Lift's cube size) then varies.
         stock: a robosuite environment to use, instead of making one.
@@ -32,9 +33,7 @@ class StockBatch(TaskBatch):
         self,
         task: Task,
         *,
-        robot: str = "Panda",
-        controller: str = "OSC_POSE",
-        control_freq: int = 20,
+        robot: RobotConfig = PANDA,
         horizon: int | None = None,
         reward: str = "shaped",
         seed: int = 0,
@@ -44,8 +43,6 @@ class StockBatch(TaskBatch):
         self.stock = stock or make_stock(
             task.robosuite_name,
             robot,
-            controller,
-            control_freq,
             seed,
             hard_reset=hard_reset,
         )

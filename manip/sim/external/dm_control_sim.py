@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from manip.errors import check_choice
+from manip.robot_config import RobotConfig
 from manip.sim.external.external_sim import ExternalSim, ExternalStep
-from manip.sim.robot_config import RobotConfig
 
 # Its inverse kinematics warn of every start pose that is not perfect.
 logging.getLogger("absl").addFilter(lambda record: record.levelno >= logging.ERROR)
@@ -24,7 +24,7 @@ if _gl_backend is not None:
 
 Array = np.ndarray
 
-RIG = RobotConfig("Jaco", "JOINT_VELOCITY", 25)
+ROBOT = RobotConfig("Jaco", "JOINT_VELOCITY", 25)
 """The only arm, action space and frequency of dm_control.manipulation."""
 
 SOLVED = 1 - 1e-6
@@ -37,9 +37,9 @@ def names() -> tuple[str, ...]:
     return tuple(manipulation.get_environments_by_tag("features"))
 
 
-def check_robot_config(rig: RobotConfig) -> None:
-    """Raise `UserError` for any other than `RIG`."""
-    for kind, asked, known in zip(RobotConfig._fields, rig, RIG, strict=True):
+def check_robot_config(robot: RobotConfig) -> None:
+    """Raise `UserError` for any other than `ROBOT`."""
+    for kind, asked, known in zip(RobotConfig._fields, robot, ROBOT, strict=True):
         check_choice(kind, str(asked), (str(known),))
 
 
@@ -47,7 +47,7 @@ class DmControlSim(ExternalSim):
     """A Jaco arm; reward in [0, 1] is dm_control's, success is a reward of 1."""
 
     def __init__(
-        self, name: str, rig: RobotConfig, seed: int, hard_reset: bool
+        self, name: str, robot: RobotConfig, seed: int, hard_reset: bool
     ) -> None:
         # Without dm_control's own time limit; it compiles the model at every reset.
         self._env = composer.Environment(manipulation.load(name).task)

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from manip.robot_config import RobotConfig, check_robot_config
 from manip.sim.external.external_sim import ExternalSim, ExternalStep
 from manip.sim.robosuite_factory import environment_names, make_stock, reseed
-from manip.sim.robot_config import RobotConfig, check_robot_config
 
 Array = np.ndarray
 
@@ -25,9 +25,9 @@ class RobosuiteSim(ExternalSim):
     """
 
     def __init__(
-        self, name: str, rig: RobotConfig, seed: int, hard_reset: bool
+        self, name: str, robot: RobotConfig, seed: int, hard_reset: bool
     ) -> None:
-        self._stock = make_stock(name, *rig, seed, hard_reset=hard_reset)
+        self._stock = make_stock(name, robot, seed, hard_reset=hard_reset)
 
     def action_dim(self) -> int:
         """Of all its arms and grippers."""

@@ -19,17 +19,17 @@ no new observation.
 class RobotConfig(NamedTuple):
     """An arm and how it is driven: `control_freq` in Hz, the rest as robosuite says."""
 
-    robot: str = "Panda"
+    arm: str = "Panda"
     controller: str = "OSC_POSE"
     control_freq: int = 20
 
 
-def check_robot_config(rig: RobotConfig) -> None:
+def check_robot_config(robot: RobotConfig) -> None:
     """Raise `UserError` for a robot, controller or control frequency that is not."""
-    check_choice("robot", rig.robot, ROBOTS)
-    check_choice("controller", rig.controller, CONTROLLERS)
-    if rig.control_freq not in CONTROL_FREQUENCIES:
+    check_choice("robot", robot.arm, ROBOTS)
+    check_choice("controller", robot.controller, CONTROLLERS)
+    if robot.control_freq not in CONTROL_FREQUENCIES:
         raise UserError(
-            f"control frequency {rig.control_freq} Hz is not possible: robosuite keeps "
+            f"control frequency {robot.control_freq} Hz is not possible: robosuite keeps "
             f"its clocks in phase only at {', '.join(map(str, CONTROL_FREQUENCIES))} Hz"
         )
