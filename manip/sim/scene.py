@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from manip.robot_config import RobotConfig
+from manip.sim.names import lookup
 from manip.sim.robosuite_factory import PANDA, PHYSICS_DT, make_stock
 from manip.sim.robot_model import hand_kind
 from manip.sim.scene_layout import SceneLayout, read_scene_layout
@@ -45,6 +46,20 @@ class Scene:
     touch_of_sensor: Array
     substeps: int
     control_dt: float
+
+    @property
+    def nq(self) -> int:
+        """Length of qpos."""
+        return int(self.physics.nq)
+
+    def geom_size(self, name: str) -> Array:
+        """Sizes [3] m of a geom of the physics model, as MuJoCo defines them by type.
+
+        Raises:
+            UserError: no such geom; the message lists the geoms that exist.
+        """
+        sizes: Array = self.physics.geom_size[lookup(self.physics, "geom", name)]
+        return sizes.copy()
 
     def free_qpos(self, name: str) -> slice:
         """Entries of qpos that place a free body: position [3] m, quaternion wxyz."""
