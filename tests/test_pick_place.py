@@ -8,13 +8,13 @@ from manip.envs.episode_streams import EpisodeStreams
 from manip.rewards.compose import weighted_sum
 from manip.sim.batch_engine import BatchEngine
 from manip.tasks.pick_place import (
-    ITEMS,
     PickPlace,
     PickPlaceBread,
     PickPlaceCan,
     PickPlaceCereal,
     PickPlaceMilk,
 )
+from manip.tasks.pick_place_items import ITEMS
 
 TASKS = (PickPlaceBread, PickPlaceCan, PickPlaceCereal, PickPlaceMilk)
 

@@ -19,7 +19,7 @@ from manip.sim.sensors import Sensors
 from manip.sim.stock_reader import stock_reader
 from manip.tasks.door import Door
 from manip.tasks.lift import Lift
-from manip.tasks.scenes.reach import GOAL_HIGH, GOAL_LOW
+from manip.tasks.scenes.reach_scene import GOAL_HIGH, GOAL_LOW
 from manip.tasks.stack import Stack
 
 Array = np.ndarray
@@ -292,7 +292,7 @@ def test_arms_start_in_the_default_pose_with_noise(task: Task, scene: Scene) -> 
 
 def test_lift_places_its_cube_as_it_says(lift: Task, lift_scene: Scene) -> None:
     cube = starts(lift, lift_scene, 500)[:, lift_scene.free_qpos("cube_main")]
-    half = lift_scene.physics.geom("cube_g0").size[2]
+    half = lift_scene.geom_size("cube_g0")[2]
     assert 0.020 <= half <= 0.022
     assert np.abs(cube[:, :2]).max() <= 0.03
     np.testing.assert_allclose(np.ptp(cube[:, :2], axis=0), 0.06, atol=0.002)

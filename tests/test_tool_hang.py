@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from manip.envs.episode_streams import EpisodeStreams
 from manip.rewards.compose import weighted_sum
 from manip.sim.stock_reader import stock_reader
-from manip.tasks.tool_hang import FINGERS, ToolHang
+from manip.tasks.tool_hang import ToolHang
+from manip.tasks.tool_hang_measures import FINGERS
 
 Array = np.ndarray
 
