@@ -70,7 +70,7 @@ def environment_names() -> tuple[str, ...]:
     return tuple(sorted(robosuite.ALL_ENVIRONMENTS))
 
 
-def reseed(env: Any, seed: int) -> None:
+def reseed(env: Any, seed: int | np.random.SeedSequence) -> None:
     """Restart the random stream of a stock environment, in place.
 
     robosuite has no seed per reset: samplers hold references to `env.rng`, so its
