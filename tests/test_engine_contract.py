@@ -14,7 +14,8 @@ from manip.envs.task import Task
 from manip.errors import UserError
 from manip.sim.batch_engine import BatchEngine
 from manip.sim.engine import Engine, Snapshot
-from manip.sim.scene import Scene
+from manip.sim.scene import Scene, build_scene
+from manip.sim.sensors import Sensors
 from manip.sim.stock_reader import stock_reader
 
 Array = np.ndarray
@@ -79,6 +80,25 @@ def test_before_is_the_snapshot_before_the_last_step(
         np.testing.assert_array_equal(engine.before.states, snapshot.states)
         np.testing.assert_array_equal(engine.before.readings, snapshot.readings)
         assert (engine.states[0] != snapshot.states[0]).any()
+
+
+def test_memory_stays_until_a_reset(lift_scene: Scene) -> None:
+    sensors = Sensors(memory={"height": 2})
+    engine = BatchEngine(build_scene(lift_scene.stock, sensors), 3, threads=1)
+    heights = np.array([[1.0, 2.0], [3.0, 4.0]])
+    engine.write_memory(np.array([2, 0]), {"height": heights})
+    run(engine, actions(3, 3))
+    expected = np.array([[3.0, 4.0], [0.0, 0.0], [1.0, 2.0]])
+    np.testing.assert_array_equal(engine.read()["height"], expected)
+    engine.reset(np.array([0]), lift_scene.layout.qpos[None])
+    np.testing.assert_array_equal(engine.read()["height"][0], 0)
+    engine.set_state(
+        np.array([1]),
+        engine.read()["qpos"][[1]],
+        engine.read()["qvel"][[1]],
+        memory={"height": heights[:1]},
+    )
+    np.testing.assert_array_equal(engine.read()["height"][1], heights[0])
 
 
 HIDDEN = ("start_pos", "gripper_command", "goal_place")

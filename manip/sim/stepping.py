@@ -96,10 +96,10 @@ def step_environments(
         env_id = take_number(counter.ctypes.data)
         if env_id >= len(states):
             return
+        next_states[env_id] = states[env_id]  # memory stays, which no step changes
         load(states[env_id], sim.state)
         broken[env_id] = not _advance(sim, plan, arm, gripper, w, actions[env_id])
         if broken[env_id]:
-            next_states[env_id] = states[env_id]
             next_readings[env_id] = readings[env_id]
         else:
             store(next_states[env_id], sim.state)
