@@ -4,28 +4,47 @@ The only module that imports robosuite. Its environments are the model factory o
 the batch engine and the oracle that the engine must agree with.
 """
 
-import logging
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
 from manip.errors import check_choice
 from manip.robot_config import RobotConfig, check_robot_config
+from manip.sim.robosuite_log import quiet, quiet_robosuite
 
-logging.getLogger("robosuite_logs").addFilter(lambda r: r.levelno >= logging.ERROR)
-_gl_backend = os.environ.get("MUJOCO_GL")
-import robosuite  # noqa: E402  (the log filter must come first)
-from robosuite.controllers import load_part_controller_config  # noqa: E402
-from robosuite.controllers.composite.composite_controller_factory import (  # noqa: E402
-    refactor_composite_controller_config,
-)
-from robosuite.environments.base import REGISTERED_ENVS  # noqa: E402
-from robosuite.environments.manipulation.two_arm_env import TwoArmEnv  # noqa: E402
 
-if _gl_backend is None:
-    # robosuite sets MUJOCO_GL on import; choosing the backend is manip.sim.gl's job.
-    os.environ.pop("MUJOCO_GL", None)
+@contextmanager
+def _gl_variable_kept() -> Iterator[None]:
+    """Undo what robosuite does to MUJOCO_GL on import: manip.sim.gl chooses it."""
+    before = os.environ.get("MUJOCO_GL")
+    try:
+        yield
+    finally:
+        os.environ.pop("MUJOCO_GL", None)
+        if before is not None:
+            os.environ["MUJOCO_GL"] = before
+
+
+with quiet(), _gl_variable_kept():
+    import robosuite
+    from robosuite.controllers import load_part_controller_config
+    from robosuite.controllers.composite.composite_controller_factory import (
+        refactor_composite_controller_config,
+    )
+    from robosuite.environments.base import REGISTERED_ENVS
+    from robosuite.environments.manipulation.two_arm_env import TwoArmEnv
+
+__all__ = [
+    "PANDA",
+    "PHYSICS_DT",
+    "environment_names",
+    "make_stock",
+    "quiet_robosuite",
+    "reseed",
+]
 
 PHYSICS_DT = 0.002
 """robosuite's simulation timestep [s] (robosuite/macros.py)."""
@@ -50,7 +69,14 @@ def make_stock(
     """
     check_robot_config(robot)
     check_choice("robosuite environment", name, robosuite.ALL_ENVIRONMENTS)
-    settings = {
+    with quiet():
+        settings = _settings(robot, seed) | options
+        arms = 2 if issubclass(REGISTERED_ENVS[name], TwoArmEnv) else 1
+        return robosuite.make(name, robots=[robot.arm] * arms, **settings)
+
+
+def _settings(robot: RobotConfig, seed: int | None) -> dict[str, Any]:
+    return {
         "has_renderer": False,
         "has_offscreen_renderer": False,
         "use_camera_obs": False,
@@ -61,8 +87,6 @@ def make_stock(
         "seed": seed,
         "ignore_done": True,
     }
-    arms = 2 if issubclass(REGISTERED_ENVS[name], TwoArmEnv) else 1
-    return robosuite.make(name, robots=[robot.arm] * arms, **(settings | options))
 
 
 def environment_names() -> tuple[str, ...]:
