@@ -69,7 +69,14 @@ def make_stock(
     """
     check_robot_config(robot)
     check_choice("robosuite environment", name, robosuite.ALL_ENVIRONMENTS)
-    settings = {
+    with quiet():
+        settings = _settings(robot, seed) | options
+        arms = 2 if issubclass(REGISTERED_ENVS[name], TwoArmEnv) else 1
+        return robosuite.make(name, robots=[robot.arm] * arms, **settings)
+
+
+def _settings(robot: RobotConfig, seed: int | None) -> dict[str, Any]:
+    return {
         "has_renderer": False,
         "has_offscreen_renderer": False,
         "use_camera_obs": False,
@@ -80,9 +87,6 @@ def make_stock(
         "seed": seed,
         "ignore_done": True,
     }
-    arms = 2 if issubclass(REGISTERED_ENVS[name], TwoArmEnv) else 1
-    with quiet():
-        return robosuite.make(name, robots=[robot.arm] * arms, **(settings | options))
 
 
 def environment_names() -> tuple[str, ...]:
@@ -90,7 +94,7 @@ def environment_names() -> tuple[str, ...]:
     return tuple(sorted(robosuite.ALL_ENVIRONMENTS))
 
 
-def reseed(env: Any, seed: int) -> None:
+def reseed(env: Any, seed: int | np.random.SeedSequence) -> None:
     """Restart the random stream of a stock environment, in place.
 
     robosuite has no seed per reset: samplers hold references to `env.rng`, so its
