@@ -10,12 +10,15 @@ Array = np.ndarray
 class Item(NamedTuple):
     """An object: its dimensions [m], its grip, and its target.
 
-    radius: of the circle that is kept clear of other objects. stand: height of its
-    origin above the bin's when it stands in it (both from
-    robosuite/models/assets/objects/*.xml). low, high: corners of its box in its own
-    frame. grip: height of the grasping tool above its origin. symmetry: number of yaws,
-    evenly spaced, at which it can be grasped alike; 0 if at any yaw. place [2]: centre
-    of its quarter of the second bin, in world coordinates.
+    Attributes:
+        radius: of the circle that is kept clear of other objects
+            (robosuite/models/assets/objects/*.xml).
+        stand: height of its origin above the bin's when it stands in it (ibid.).
+        low, high: corners of its box, in its own frame.
+        grip: height of the grasping tool above its origin.
+        symmetry: number of evenly spaced yaws at which it can be grasped alike; 0 if it
+            can be grasped at any yaw.
+        place: [2], centre of its quarter of the second bin, in the world frame.
     """
 
     radius: float

@@ -1,4 +1,4 @@
-"""ToolHang: stand a frame with a hook in its post, hang a wrench on it. robosuite's.
+"""ToolHang: stand a frame in a post, hang a wrench on its hook. robosuite's `ToolHang`.
 
 Success: the post is upright, the tip of the frame's rod less than 5 cm from the centre
     of its base, the rod between its walls; the frame's bar runs through the wrench's
