@@ -14,7 +14,10 @@ import pytest
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parent.parent
-SOURCES = ("manip", "tasks", "assets", "pyproject.toml", "README.md", "LICENSE")
+SOURCES = (
+    *("manip", "tasks", "assets", "tests"),
+    *("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE"),
+)
 PACKAGED = (".py", ".json", ".safetensors", ".xml", ".yaml")
 
 
@@ -78,6 +81,7 @@ def test_the_sdist_builds_the_same_wheel(
     with tarfile.open(sdist) as archive:
         archive.extractall(tmp_path / "unpacked", filter="data")
     (folder,) = (tmp_path / "unpacked").iterdir()
+    assert not (folder / "tests").exists()  # its helpers would be missing
     assert contents(build(folder, "wheel", tmp_path / "wheel")) == contents(wheel)
 
 
