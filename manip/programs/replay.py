@@ -18,7 +18,7 @@ from manip.errors import UserError, one_line
 from manip.io.tensor_trees import load_tree
 from manip.programs import cli
 from manip.robot_config import RobotConfig
-from manip.sim.batch_engine import Snapshot
+from manip.sim.engine import Snapshot
 
 
 @dataclass(frozen=True)

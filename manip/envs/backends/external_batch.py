@@ -78,6 +78,7 @@ class ExternalBatch(TaskBatch):
         self._steps = [first] * num_envs
         self._actions: list[list[Array]] = [[] for _ in range(num_envs)]
         self._stagger = stagger
+        self._changes = 0
         options.setdefault("reward", "stock")
         super().__init__(task, num_envs, action_dim, **options)
 
@@ -86,6 +87,9 @@ class ExternalBatch(TaskBatch):
         steps = self._steps
         parts = {n: np.stack([s.parts[n] for s in steps]) for n in steps[0].parts}
         return parts | {n: np.array([getattr(s, n) for s in steps]) for n in EARNED}
+
+    def _version(self) -> object:
+        return self._changes
 
     def visual_model(self, env_id: int) -> Any:
         """Not possible: the model is in another library or process."""
@@ -99,6 +103,7 @@ class ExternalBatch(TaskBatch):
         return int(episode_seed(*key).generate_state(1)[0])
 
     def _start_episodes(self, env_ids: Array) -> None:
+        self._changes += 1
         seeds = {env_id: (self.episode_seed(env_id),) for env_id in map(int, env_ids)}
         for env_id, step in self._pool.call("start", seeds).items():
             self._steps[env_id], self._actions[env_id] = step, []
@@ -109,6 +114,7 @@ class ExternalBatch(TaskBatch):
         """External tasks have no memory."""
 
     def _move(self, action: Array) -> Array:
+        self._changes += 1
         diverged = np.isnan(action).any(axis=1)
         calls = {int(env_id): (action[env_id],) for env_id in np.flatnonzero(~diverged)}
         for env_id, step in self._pool.call("step", calls).items():
@@ -136,6 +142,7 @@ class ExternalBatch(TaskBatch):
                 f"not {self.num_envs}"
             )
         self._restore_clocks(state)
+        self._changes += 1
         self._actions = [list(taken) for taken in actions]
         calls = {
             env_id: (self.episode_seed(env_id), taken)

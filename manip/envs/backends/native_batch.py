@@ -18,7 +18,8 @@ from manip.envs.task_errors import blamed
 from manip.envs.time_step import TimeStep
 from manip.errors import UserError, at_least, check_choice
 from manip.robot_config import RobotConfig
-from manip.sim.batch_engine import BatchEngine, Snapshot
+from manip.sim.batch_engine import BatchEngine
+from manip.sim.engine import Snapshot
 from manip.sim.robosuite_factory import PANDA
 from manip.sim.scene import Fidelity, Scene, load_scene
 
@@ -86,7 +87,6 @@ class NativeBatch(TaskBatch):
         )
         self._robot, self._fidelity = robot, fidelity
         self._dumps = dumps
-        self._before = self.engine.save(), np.zeros(0)
         super().__init__(task, num_envs, self.scene.layout.action_dim, **options)
         with blamed(task):
             check_start(task, self.scene)
@@ -94,6 +94,9 @@ class NativeBatch(TaskBatch):
     def read(self) -> Measures:
         """As `BatchEngine.read`."""
         return self.engine.read()
+
+    def _version(self) -> object:
+        return self.engine.changes
 
     def visual_model(self, env_id: int) -> Any:
         """A copy of the stock model with the environment's model fields."""
@@ -127,8 +130,7 @@ class NativeBatch(TaskBatch):
         self.engine.write_memory(env_ids, memory)
 
     def _move(self, action: Array) -> Array:
-        if self._dumps:
-            self._before = self.engine.save(), action
+        self._action = action
         return self.engine.step(action)
 
     def _dump(self, fault: Fault) -> str:
@@ -143,7 +145,7 @@ class NativeBatch(TaskBatch):
         """Write the environment's state before the step, and the action."""
         from manip.io.tensor_trees import save_tree  # which loads torch
 
-        before, action = self._before
+        before = self.engine.before
         step = {
             "fault": fault._asdict(),
             "task": f"{type(self.task).__module__}:{type(self.task).__qualname__}",
@@ -153,7 +155,7 @@ class NativeBatch(TaskBatch):
             "reward_weights": self.reward_weights,
             "state": before.states[fault.env_id],
             "readings": before.readings[fault.env_id],
-            "action": np.asarray(action[fault.env_id], float),
+            "action": np.asarray(self._action[fault.env_id], float),
         }
         save_tree(path, {"format": DUMP_FORMAT, **step})
 
