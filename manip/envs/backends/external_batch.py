@@ -18,6 +18,7 @@ from manip.envs.task_batch import TaskBatch
 from manip.errors import UserError, check_choice
 from manip.robot_config import RobotConfig
 from manip.sim.external.external_sim import ExternalSim, ExternalStep
+from manip.sim.not_copied import NotCopied
 from manip.sim.robosuite_factory import PANDA
 from manip.sim.sensors import Sensors
 
@@ -139,7 +140,7 @@ def load_external(name: str) -> ExternalTask:
     return LIBRARIES[library](environment)
 
 
-class ExternalBatch(TaskBatch):
+class ExternalBatch(NotCopied, TaskBatch):
     """N worlds of another library's task, in as many processes as there are threads.
 
     Where they stand is saved as what they did since their episodes began, and restored

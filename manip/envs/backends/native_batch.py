@@ -16,6 +16,7 @@ from manip.envs.task_check import blamed, check_start
 from manip.errors import UserError
 from manip.robot_config import RobotConfig
 from manip.sim.batch_engine import BatchEngine, Snapshot
+from manip.sim.not_copied import DeepCopied
 from manip.sim.robosuite_factory import PANDA
 from manip.sim.scene import Fidelity, Scene, load_scene
 
@@ -26,7 +27,7 @@ MOST_DUMPS = 20
 """Files kept a run."""
 
 
-class NativeBatch(TaskBatch):
+class NativeBatch(DeepCopied, TaskBatch):
     """TaskBatch of a task on the batch engine.
 
     Args:
