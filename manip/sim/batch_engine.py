@@ -229,6 +229,7 @@ class BatchEngine(NotCopied):
         copy.restore(self.save())
         copy._before.states[:], copy._before.readings[:] = self._before[:2]
         copy.broken[:], copy.broken_count = self.broken, self.broken_count
+        copy.changes = self.changes
         return copy
 
     def _new_buffer(self) -> _Buffer:

@@ -15,12 +15,13 @@ from manip.envs.task_errors import exits_blamed
 from manip.errors import UserError, at_least
 from manip.robot_config import RobotConfig
 from manip.sim.external.external_sim import ExternalSim, ExternalStep
+from manip.sim.not_copied import NotCopied
 from manip.sim.robosuite_factory import PANDA
 
 Array = np.ndarray
 
 
-class ExternalBatch(TaskBatch):
+class ExternalBatch(NotCopied, TaskBatch):
     """Step N environments of another library, in one process per thread.
 
     The saved state is the list of actions since each episode began; restoring it

@@ -20,6 +20,7 @@ from manip.errors import UserError, at_least, check_choice
 from manip.robot_config import RobotConfig
 from manip.sim.batch_engine import BatchEngine
 from manip.sim.engine import Snapshot
+from manip.sim.not_copied import DeepCopied
 from manip.sim.robosuite_factory import PANDA
 from manip.sim.scene import Fidelity, Scene, load_scene
 
@@ -32,7 +33,7 @@ MOST_DUMPS = 20
 """Most files in a dump folder."""
 
 
-class NativeBatch(TaskBatch):
+class NativeBatch(DeepCopied, TaskBatch):
     """Step N environments in native threads.
 
     Args:
