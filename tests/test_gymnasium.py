@@ -68,7 +68,7 @@ def play(envs, moves: Array, seed: int = 5) -> list[tuple]:
 @pytest.mark.parametrize("name", task_names())
 @pytest.mark.parametrize("env", ["native", "stock"])
 def test_gymnasiums_checker_passes(name: str, env: str) -> None:
-    made = gymnasium.make(f"manip/{name}-v0", env=env)
+    made = gymnasium.make(f"manip/{name}-v0", backend=env)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         check_env(made.unwrapped, skip_render_check=True)
@@ -98,8 +98,8 @@ def test_options_reach_the_worlds() -> None:
 def test_mistakes_are_told() -> None:
     with pytest.raises(UserError, match="unknown task 'Raech': did you mean 'Reach'"):
         TaskVectorEnv("Raech", 2)
-    with pytest.raises(UserError, match="unknown env 'stok': did you mean 'stock'"):
-        gymnasium.make("manip/Reach-v0", env="stok")
+    with pytest.raises(UserError, match="unknown backend 'stok': did you mean 'stock'"):
+        gymnasium.make("manip/Reach-v0", backend="stok")
     with pytest.raises(UserError, match="unknown reward 'sparse'"):
         gymnasium.make("manip/Reach-v0", reward="sparse")
     with pytest.raises(TypeError, match=r"multiple values for keyword .*'seed'"):
@@ -257,7 +257,7 @@ def test_without_a_seed_resets_go_on_and_differ_between_environments(
 @pytest.mark.skipif(gl.find_backend() is None, reason=gl.INSTALL_HINT)
 @pytest.mark.parametrize("where", ["native", "stock"])
 def test_the_world_is_drawn_as_it_is_now(where: str) -> None:
-    env = gymnasium.make("manip/Reach-v0", env=where, render_mode="rgb_array")
+    env = gymnasium.make("manip/Reach-v0", backend=where, render_mode="rgb_array")
     env.reset(seed=1)
     still, same = env.render(), env.render()
     for _ in range(3):

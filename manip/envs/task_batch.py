@@ -14,6 +14,7 @@ from manip.envs.episode_streams import TRAINING, Purpose, check_purpose, check_s
 from manip.envs.faults import Fault, non_finite
 from manip.envs.measure_cache import MeasureCache
 from manip.envs.option_checks import state_array
+from manip.envs.reward_range import RewardRange
 from manip.envs.task import Measures, Task
 from manip.envs.task_check import check_task
 from manip.envs.task_errors import blamed, exits_blamed
@@ -102,6 +103,7 @@ class TaskBatch(ABC):
         self.reward_names = tuple(self.reward_weights)
         self.observation_spec = vector_spec(outputs.parts, task.proprioception)
         self._form = OutputForm(task, outputs)
+        self._range = RewardRange(task, reward == "shaped" and not reward_weights)
         self._last_observation = np.zeros(
             (num_envs, self.observation_spec.dim), np.float32
         )
@@ -257,9 +259,11 @@ class TaskBatch(ABC):
         outputs = evaluate(self.task, self._cache.get(), self.reward_set)
         self._form.check(outputs)
         terminated = outputs.failure
+        reward = weighted_sum(outputs.terms, self.reward_weights)
+        self._range.check(reward)
         time_step = TimeStep(
             observation=self.observation_spec.join(outputs.parts),
-            reward=weighted_sum(outputs.terms, self.reward_weights),
+            reward=reward,
             reward_terms=outputs.terms,
             success=outputs.success,
             milestones=outputs.milestones,

@@ -82,8 +82,8 @@ def _forms(outputs: TaskOutputs) -> dict[str, Form]:
     return {
         "observe() part": _form(outputs.parts),
         "reward term": _form(outputs.terms),
-        "milestone": _form(outputs.milestones),
         "result of": _form(flags),
+        "milestone": _form(outputs.milestones),
     }
 
 
