@@ -164,7 +164,7 @@ def test_a_run_on_the_search_path_is_taken_off_it(project: Path) -> None:
 
 
 def test_workers_that_start_in_the_run_import_nothing_from_it(project: Path) -> None:
-    """`python -c`, as multiprocessing starts workers, searches the working directory."""
+    """Workers start as `python -c`, which searches the working directory."""
     run = project / "runs/demo"
     for module in ("multiprocessing", "random", "struct", "pickle", "evil"):
         (run / f"{module}.py").write_text(EVIL.format(marker=str(project / "marker")))

@@ -7,7 +7,12 @@ import numpy as np
 
 from manip.cpus import usable_cpus
 from manip.envs.backends.worker_pool import WorkerPool
-from manip.envs.episode_streams import check_purpose, check_seed, episode_seed
+from manip.envs.episode_streams import (
+    build_seed,
+    check_purpose,
+    check_seed,
+    episode_seed,
+)
 from manip.envs.external_task import EARNED, ExternalTask
 from manip.envs.task import Measures
 from manip.envs.task_batch import EpisodeOptions, TaskBatch
@@ -173,8 +178,7 @@ def _open(
     env_id: int,
 ) -> ExternalSim:
     """Build the simulation of an environment; what it samples now has its own seed."""
-    key = np.random.SeedSequence(seed, spawn_key=(purpose, env_id))
     opened: ExternalSim = task.module().open_world(
-        task.environment, robot, int(key.generate_state(1)[0]), hard_reset
+        task.environment, robot, build_seed(seed, purpose, env_id), hard_reset
     )
     return opened
