@@ -1,9 +1,5 @@
 """The batch engine: worlds that do not feel each other, replayed bit for bit."""
 
-import os
-import subprocess
-import sys
-
 import mujoco
 import numpy as np
 import pytest
@@ -502,43 +498,3 @@ def test_unknown_sensors_list_what_exists(
 def test_unknown_robots_list_what_exists(asked: dict, text: str) -> None:
     with pytest.raises(UserError, match=text):
         make_stock(**({"name": "Lift"} | asked))
-
-
-# Where compiled code is kept
-
-COMPILE = """
-import warnings
-with warnings.catch_warnings(record=True) as caught:
-    warnings.simplefilter("always")
-    from manip import compiled
-print(*(str(w.message) for w in caught))
-print(compiled.jit(lambda x: x + 1)(1))
-"""
-
-
-def test_a_cache_that_cannot_be_written_is_a_warning() -> None:
-    lines = in_python(COMPILE, NUMBA_CACHE_DIR=f"{os.devnull}/cache")
-    assert f"{os.devnull}/cache/" in lines[0]
-    assert "is not writable" in lines[0]
-    assert "NUMBA_CACHE_DIR" in lines[0]
-    assert lines[1] == "2"
-
-
-def in_python(code: str, **environment: str) -> list[str]:
-    found = subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert found.returncode == 0, found.stderr
-    return found.stdout.splitlines()
-
-
-def test_importing_robosuite_leaves_the_gl_backend_open() -> None:
-    lines = in_python(
-        "import os; os.environ.pop('MUJOCO_GL', None);"
-        "import manip.sim.robosuite_factory; print(os.environ.get('MUJOCO_GL'))"
-    )
-    assert lines[-1] == "None"

@@ -259,7 +259,7 @@ class ExternalBatch(NotCopied, TaskBatch):
 def _open(
     task: ExternalTask, robot: RobotConfig, seed: int, hard_reset: bool, world: int
 ) -> ExternalSim:
-    opened: ExternalSim = task.module().open_world(
+    opened: ExternalSim = task.module().open_sim(
         task.environment, robot, seed + world, hard_reset
     )
     return opened
