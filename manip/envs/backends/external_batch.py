@@ -178,7 +178,7 @@ def _open(
     env_id: int,
 ) -> ExternalSim:
     """Build the simulation of an environment; what it samples now has its own seed."""
-    opened: ExternalSim = task.module().open_world(
+    opened: ExternalSim = task.module().open_sim(
         task.environment, robot, build_seed(seed, purpose, env_id), hard_reset
     )
     return opened
