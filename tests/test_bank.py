@@ -7,7 +7,7 @@ from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.restart_buffer import CAPACITY, RestartBuffer
 from manip.errors import UserError
-from manip.sim.batch_engine import Snapshot
+from manip.sim.engine import Snapshot
 from manip.sim.scene import Scene
 from manip.tasks.lift import Lift
 

@@ -1,4 +1,4 @@
-"""Ranges of the options and arguments of task batches, checked in Python, too."""
+"""Check options and saved states of task batches."""
 
 from collections.abc import Mapping
 from numbers import Real
@@ -15,25 +15,6 @@ def check_share(name: str, value: object) -> None:
     """Raise `UserError` unless the value is a number from 0 to 1."""
     if not isinstance(value, Real) or not 0 <= float(value) <= 1:
         raise UserError(f"{name} must be a number from 0 to 1, not {shown(value)}")
-
-
-def check_action(
-    action: Array, shape: tuple[int, int], name: str = "the action"
-) -> Array:
-    """The action as an array.
-
-    Raises:
-        UserError: it has another shape than [N, A], or holds no real numbers.
-    """
-    try:
-        array = np.asarray(action)
-    except (TypeError, ValueError) as error:  # rows of different lengths, say
-        raise UserError(f"{name} is no array of shape {shape}: {error}") from error
-    if array.dtype.kind not in "fiu":
-        raise UserError(f"{name} holds {array.dtype}, not real numbers")
-    if array.shape != shape:
-        raise UserError(f"{name} has shape {array.shape}, not {shape}")
-    return array
 
 
 def state_array(state: Mapping[str, Any], name: str, like: Array) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.option_checks import state_array
 from manip.errors import UserError
-from manip.sim.batch_engine import Snapshot
+from manip.sim.engine import Snapshot
 
 Array = np.ndarray
 

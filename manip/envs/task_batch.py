@@ -12,8 +12,9 @@ import numpy as np
 
 from manip.envs.episode_streams import TRAINING, Purpose, check_purpose, check_seed
 from manip.envs.faults import Fault, non_finite
-from manip.envs.option_checks import check_action, state_array
-from manip.envs.partial_measures import rows_of, with_rows
+from manip.envs.measure_cache import MeasureCache
+from manip.envs.option_checks import state_array
+from manip.envs.reward_range import RewardRange
 from manip.envs.task import Measures, Task
 from manip.envs.task_check import check_task
 from manip.envs.task_errors import blamed, exits_blamed
@@ -22,6 +23,7 @@ from manip.envs.time_step import TimeStep
 from manip.errors import UserError, at_least, check_choice
 from manip.observation import vector_spec
 from manip.rewards.compose import override_weights, weighted_sum
+from manip.sim.actions import checked_actions
 
 Array = np.ndarray
 
@@ -96,11 +98,12 @@ class TaskBatch(ABC):
             self.horizon = task.horizon if horizon is None else horizon
             overrides = reward_weights or {}
             self.reward_weights = override_weights(task.weights[reward], overrides)
-            self._measures: Measures | None = None
-            outputs = evaluate(task, self.measures(), reward)
+            self._cache = MeasureCache(task, num_envs, self.read, self._version)
+            outputs = evaluate(task, self._cache.get(), reward)
         self.reward_names = tuple(self.reward_weights)
         self.observation_spec = vector_spec(outputs.parts, task.proprioception)
         self._form = OutputForm(task, outputs)
+        self._range = RewardRange(task, reward == "shaped" and not reward_weights)
         self._last_observation = np.zeros(
             (num_envs, self.observation_spec.dim), np.float32
         )
@@ -109,6 +112,10 @@ class TaskBatch(ABC):
     @abstractmethod
     def read(self) -> Measures:
         """Current readings of all environments."""
+
+    def _version(self) -> object:
+        """Differs once the state has changed; by default it may always have."""
+        return object()
 
     @abstractmethod
     def visual_model(self, env_id: int) -> Any:
@@ -152,7 +159,6 @@ class TaskBatch(ABC):
             getattr(self, name)[:] = values
         self.fault_count = int(count)
         self._begun = self.episode >= 0
-        self._measures = None
 
     def restart(self, seed: int | None = None, episode: int = 0) -> None:
         """Let every environment's next episode be number `episode` of the seed."""
@@ -185,8 +191,8 @@ class TaskBatch(ABC):
         self._begun[env_ids] = True
         if len(env_ids):
             with blamed(self.task):
-                self._start_episodes(env_ids)
-                self._measure_rows(env_ids)
+                with self._cache.restarting(env_ids):
+                    self._start_episodes(env_ids)
                 self._update_memory(env_ids)
 
     def step(self, action: Array) -> TimeStep:
@@ -199,12 +205,12 @@ class TaskBatch(ABC):
             UserError: the action has another shape or holds no real numbers, or an
                 environment has not begun an episode.
         """
-        action = check_action(action, (self.num_envs, self.action_dim))
+        checked_actions(action, self.num_envs, self.action_dim)
+        action = np.asarray(action)
         if not self._begun.all():
             raise UserError("step() was called before reset(): begin an episode first")
         with exits_blamed(self.task):
             diverged = self._move(action)
-        self._measures = None
         self.elapsed += 1
         if diverged.any():
             no_number = diverged & np.isnan(action).any(axis=1)
@@ -234,38 +240,30 @@ class TaskBatch(ABC):
             UserError: the task has none, or its action has a wrong shape.
         """
         with blamed(self.task):
-            action = self.task.expert(self.measures())
-            return check_action(action, (self.num_envs, self.action_dim), "expert(m)")
-
-    def measures(self) -> Measures:
-        """The task's measures of the present state, computed once per state."""
-        if self._measures is None:
-            self._measures = self.task.measure(self.read())
-        return self._measures
-
-    def _measure_rows(self, env_ids: Array) -> None:
-        """Measure environments that have restarted; the others have not moved."""
-        if self._measures is None or len(env_ids) == self.num_envs:
-            self._measures = None
-            return
-        rows = self.task.measure(rows_of(self.read(), env_ids, self.num_envs))
-        self._measures = with_rows(self._measures, rows, env_ids, self.num_envs)
+            action = self.task.expert(self._cache.get())
+        if np.shape(action) != (self.num_envs, self.action_dim):
+            raise UserError(
+                f"task {self.task.name!r}: expert(m) has shape {np.shape(action)}, not "
+                f"{(self.num_envs, self.action_dim)}"
+            )
+        return action
 
     def _update_memory(self, env_ids: Array) -> None:
         if self.task.sensors.memory and len(env_ids):
-            memory = self.task.update_memory(self.measures())
+            memory = self.task.update_memory(self._cache.get())
             self._keep(
                 env_ids, {name: values[env_ids] for name, values in memory.items()}
             )
-            self._measures = None  # they may depend on the memory
 
     def _time_step(self, over: Array) -> TimeStep:
-        outputs = evaluate(self.task, self.measures(), self.reward_set)
+        outputs = evaluate(self.task, self._cache.get(), self.reward_set)
         self._form.check(outputs)
         terminated = outputs.failure
+        reward = weighted_sum(outputs.terms, self.reward_weights)
+        self._range.check(reward)
         time_step = TimeStep(
             observation=self.observation_spec.join(outputs.parts),
-            reward=weighted_sum(outputs.terms, self.reward_weights),
+            reward=reward,
             reward_terms=outputs.terms,
             success=outputs.success,
             milestones=outputs.milestones,

@@ -10,15 +10,13 @@ from typing import Any
 import numpy as np
 
 from manip.envs.episode_streams import EpisodeStreams
+from manip.envs.reward_range import ROUNDING
 from manip.envs.task import Measures, Start, Task
 from manip.errors import UserError, at_least, unknown
 from manip.rewards.compose import check_weight
 from manip.sim.scene import Scene
 
 Array = np.ndarray
-
-ROUNDING = 1e-6
-"""Sums of weights may exceed 1 by this much."""
 
 
 def check_task(task: Task, read: Measures, num_envs: int) -> None:

@@ -18,7 +18,6 @@ from manip.errors import UserError, one_line
 from manip.io.tensor_trees import load_tree
 from manip.programs import cli
 from manip.robot_config import RobotConfig
-from manip.sim.batch_engine import Snapshot
 
 
 @dataclass(frozen=True)
@@ -65,8 +64,9 @@ def _world(dump: dict[str, Any], task: Task) -> NativeBatch:
     robot = RobotConfig(**dump["robot"])
     options = {name: dump[name] for name in ("fidelity", "reward", "reward_weights")}
     worlds = NativeBatch(task, 1, robot=robot, threads=1, **options)
-    worlds.begin(np.zeros(1, int))
-    worlds.engine.restore(Snapshot(dump["state"][None], dump["readings"][None]))
+    zero = np.zeros(1, np.int64)
+    state = {"states": dump["state"][None], "readings": dump["readings"][None]}
+    worlds.load_state(state | {"elapsed": zero, "episode": zero, "fault_count": 0})
     return worlds
 
 

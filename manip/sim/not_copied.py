@@ -1,6 +1,7 @@
-"""Refuse copies of objects that only one Python object may own."""
+"""Refuse copies of what a copy would share or lose."""
 
-from typing import NoReturn
+import copy
+from typing import Any, NoReturn, Self
 
 from manip.errors import UserError
 
@@ -16,3 +17,14 @@ class NotCopied:
     def __reduce_ex__(self, protocol: object) -> NoReturn:
         kind = type(self).__name__
         raise UserError(f"{kind} can be neither copied nor pickled: build another one")
+
+
+class DeepCopied(NotCopied):
+    """Base of what can be deep-copied member by member, but not copied otherwise."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """Copy every member, each as its own class defines."""
+        twin = object.__new__(type(self))
+        memo[id(self)] = twin
+        vars(twin).update(copy.deepcopy(vars(self), memo))
+        return twin

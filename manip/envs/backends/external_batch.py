@@ -7,7 +7,12 @@ import numpy as np
 
 from manip.cpus import usable_cpus
 from manip.envs.backends.worker_pool import WorkerPool
-from manip.envs.episode_streams import check_purpose, check_seed, episode_seed
+from manip.envs.episode_streams import (
+    build_seed,
+    check_purpose,
+    check_seed,
+    episode_seed,
+)
 from manip.envs.external_task import EARNED, ExternalTask
 from manip.envs.task import Measures
 from manip.envs.task_batch import EpisodeOptions, TaskBatch
@@ -15,12 +20,13 @@ from manip.envs.task_errors import exits_blamed
 from manip.errors import UserError, at_least
 from manip.robot_config import RobotConfig
 from manip.sim.external.external_sim import ExternalSim, ExternalStep
+from manip.sim.not_copied import NotCopied
 from manip.sim.robosuite_factory import PANDA
 
 Array = np.ndarray
 
 
-class ExternalBatch(TaskBatch):
+class ExternalBatch(NotCopied, TaskBatch):
     """Step N environments of another library, in one process per thread.
 
     The saved state is the list of actions since each episode began; restoring it
@@ -78,6 +84,7 @@ class ExternalBatch(TaskBatch):
         self._steps = [first] * num_envs
         self._actions: list[list[Array]] = [[] for _ in range(num_envs)]
         self._stagger = stagger
+        self._changes = 0
         options.setdefault("reward", "stock")
         super().__init__(task, num_envs, action_dim, **options)
 
@@ -86,6 +93,9 @@ class ExternalBatch(TaskBatch):
         steps = self._steps
         parts = {n: np.stack([s.parts[n] for s in steps]) for n in steps[0].parts}
         return parts | {n: np.array([getattr(s, n) for s in steps]) for n in EARNED}
+
+    def _version(self) -> object:
+        return self._changes
 
     def visual_model(self, env_id: int) -> Any:
         """Not possible: the model is in another library or process."""
@@ -99,6 +109,7 @@ class ExternalBatch(TaskBatch):
         return int(episode_seed(*key).generate_state(1)[0])
 
     def _start_episodes(self, env_ids: Array) -> None:
+        self._changes += 1
         seeds = {env_id: (self.episode_seed(env_id),) for env_id in map(int, env_ids)}
         for env_id, step in self._pool.call("start", seeds).items():
             self._steps[env_id], self._actions[env_id] = step, []
@@ -109,6 +120,7 @@ class ExternalBatch(TaskBatch):
         """External tasks have no memory."""
 
     def _move(self, action: Array) -> Array:
+        self._changes += 1
         diverged = np.isnan(action).any(axis=1)
         calls = {int(env_id): (action[env_id],) for env_id in np.flatnonzero(~diverged)}
         for env_id, step in self._pool.call("step", calls).items():
@@ -136,6 +148,7 @@ class ExternalBatch(TaskBatch):
                 f"not {self.num_envs}"
             )
         self._restore_clocks(state)
+        self._changes += 1
         self._actions = [list(taken) for taken in actions]
         calls = {
             env_id: (self.episode_seed(env_id), taken)
@@ -165,8 +178,7 @@ def _open(
     env_id: int,
 ) -> ExternalSim:
     """Build the simulation of an environment; what it samples now has its own seed."""
-    key = np.random.SeedSequence(seed, spawn_key=(purpose, env_id))
-    opened: ExternalSim = task.module().open_world(
-        task.environment, robot, int(key.generate_state(1)[0]), hard_reset
+    opened: ExternalSim = task.module().open_sim(
+        task.environment, robot, build_seed(seed, purpose, env_id), hard_reset
     )
     return opened

@@ -17,8 +17,10 @@ from manip.envs.task_check import check_start
 from manip.envs.task_errors import blamed
 from manip.envs.time_step import TimeStep
 from manip.errors import UserError, at_least, check_choice
-from manip.robot_config import RobotConfig
-from manip.sim.batch_engine import BatchEngine, Snapshot
+from manip.robot_config import RobotConfig, check_robot_config
+from manip.sim.batch_engine import BatchEngine
+from manip.sim.engine import Snapshot
+from manip.sim.not_copied import DeepCopied
 from manip.sim.robosuite_factory import PANDA
 from manip.sim.scene import Fidelity, Scene, load_scene
 
@@ -31,7 +33,7 @@ MOST_DUMPS = 20
 """Most files in a dump folder."""
 
 
-class NativeBatch(TaskBatch):
+class NativeBatch(DeepCopied, TaskBatch):
     """Step N environments in native threads.
 
     Args:
@@ -71,6 +73,7 @@ class NativeBatch(TaskBatch):
             raise UserError(f"{task.name} is not on the batch engine")
         at_least(1, "num_envs", num_envs)
         at_least(1, "threads", 1 if threads is None else threads)
+        check_robot_config(robot)
         check_choice("fidelity", fidelity, get_args(Fidelity))
         check_share("restart_fraction", restart_fraction)
         with blamed(task):
@@ -86,7 +89,6 @@ class NativeBatch(TaskBatch):
         )
         self._robot, self._fidelity = robot, fidelity
         self._dumps = dumps
-        self._before = self.engine.save(), np.zeros(0)
         super().__init__(task, num_envs, self.scene.layout.action_dim, **options)
         with blamed(task):
             check_start(task, self.scene)
@@ -94,6 +96,9 @@ class NativeBatch(TaskBatch):
     def read(self) -> Measures:
         """As `BatchEngine.read`."""
         return self.engine.read()
+
+    def _version(self) -> object:
+        return self.engine.changes
 
     def visual_model(self, env_id: int) -> Any:
         """A copy of the stock model with the environment's model fields."""
@@ -127,8 +132,7 @@ class NativeBatch(TaskBatch):
         self.engine.write_memory(env_ids, memory)
 
     def _move(self, action: Array) -> Array:
-        if self._dumps:
-            self._before = self.engine.save(), action
+        self._action = action
         return self.engine.step(action)
 
     def _dump(self, fault: Fault) -> str:
@@ -143,7 +147,7 @@ class NativeBatch(TaskBatch):
         """Write the environment's state before the step, and the action."""
         from manip.io.tensor_trees import save_tree  # which loads torch
 
-        before, action = self._before
+        before = self.engine.before
         step = {
             "fault": fault._asdict(),
             "task": f"{type(self.task).__module__}:{type(self.task).__qualname__}",
@@ -153,7 +157,7 @@ class NativeBatch(TaskBatch):
             "reward_weights": self.reward_weights,
             "state": before.states[fault.env_id],
             "readings": before.readings[fault.env_id],
-            "action": np.asarray(action[fault.env_id], float),
+            "action": np.asarray(self._action[fault.env_id], float),
         }
         save_tree(path, {"format": DUMP_FORMAT, **step})
 

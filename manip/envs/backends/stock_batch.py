@@ -9,13 +9,15 @@ from manip.envs.episode_streams import check_seed, episode_seed
 from manip.envs.task import Measures, Task
 from manip.envs.task_batch import EpisodeOptions, TaskBatch
 from manip.robot_config import RobotConfig
+from manip.sim.not_copied import NotCopied
 from manip.sim.robosuite_factory import PANDA, make_stock, reseed
+from manip.sim.stock_check import check_stock
 from manip.sim.stock_reader import stock_reader
 
 Array = np.ndarray
 
 
-class StockBatch(TaskBatch):
+class StockBatch(NotCopied, TaskBatch):
     """One world of a task, stepped by `robosuite.make(...)` itself.
 
     Mends what robosuite's GymWrapper gets wrong: the time limit is `truncated`,
@@ -26,7 +28,8 @@ class StockBatch(TaskBatch):
         robot: arm, controller and control frequency.
         hard_reset: rebuild the model at every reset, as robosuite does by default;
             what it samples when it builds (Lift's cube size) then varies.
-        stock: a robosuite environment to use, instead of making one.
+        stock: a robosuite environment to step, instead of building one. It must be
+            what `make_stock(task.robosuite_name, robot)` builds (see `check_stock`).
         options: as in `TaskBatch`.
     """
 
@@ -45,6 +48,9 @@ class StockBatch(TaskBatch):
             check_seed(options.get("seed", 0)),
             hard_reset=hard_reset,
         )
+        if stock is not None:
+            horizon = options.get("horizon") or task.horizon
+            check_stock(stock, task.robosuite_name, robot, horizon)
         self._reader = stock_reader(self.stock, task.sensors)
         self._memory = _blank(task)
         action_dim = self.stock.action_dim
