@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from manip.envs.backends.external_batch import library_of
+from manip.envs.external_task import library_of
 from manip.evaluation.episodes import Episode
 from manip.evaluation.statistics import Rate, success_rate
 

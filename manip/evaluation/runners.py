@@ -10,6 +10,7 @@ import torch
 
 from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
+from manip.envs.backends.worker_pool import end_with_parent
 from manip.envs.make_batch import make_batch
 from manip.evaluation.episodes import Episode, Policy, run_episodes
 from manip.robot_config import RobotConfig
@@ -95,6 +96,7 @@ _worker: dict[str, tuple[TaskEnv, Policy, Layout | None]] = {}
 def _open_worker(
     policy: Policy, task: str, robot: RobotConfig, layout: Layout | None
 ) -> None:
+    end_with_parent()
     torch.set_num_threads(1)
     batch = make_batch(task, backend="stock", robot=robot, hard_reset=True)
     env = TaskEnv(batch)

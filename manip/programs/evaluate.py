@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 from manip.agents.policy import Policy, load_policy
-from manip.envs.backends.external_batch import library_of
-from manip.envs.task_registry import check_origin, load_task
+from manip.envs.external_task import library_of
+from manip.envs.task_registry import load_task_named_by
 from manip.errors import at_least
 from manip.evaluation.episodes import Episode
 from manip.evaluation.report import Evaluation, summarise, table
@@ -62,8 +62,7 @@ def evaluate(options: Evaluate) -> Evaluation:
     at_least(0, "--seed", options.seed)
     policy = load_policy(options.run)
     card = policy.card
-    check_origin(card.task, options.run)
-    task = load_task(card.task)
+    task = load_task_named_by(options.run, card.task)
     episodes, seconds = timed(lambda: _episodes(options, policy))
     return Evaluation(
         task=card.task,

@@ -13,7 +13,7 @@ from manip.agents.policy import load_policy
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.make_batch import make_batch
-from manip.envs.task_registry import check_origin
+from manip.envs.task_registry import load_task_named_by
 from manip.errors import at_least
 from manip.evaluation.episodes import run_episodes
 from manip.io.video import Caption, save_animation
@@ -61,11 +61,9 @@ def film(options: Render) -> None:
     at_least(0, "--seed", options.seed)
     policy = load_policy(options.run)
     card = policy.card
-    check_origin(card.task, options.run)
+    task = load_task_named_by(options.run, card.task)
     env = TaskEnv(
-        make_batch(
-            card.task, options.episodes, robot=card.robot_config, seed=options.seed
-        )
+        make_batch(task, options.episodes, robot=card.robot_config, seed=options.seed)
     )
     env.batch.check_layout(card.layout)
     recorder = Recorder(env)

@@ -12,12 +12,12 @@ from rich.table import Table
 
 from manip.envs.backends.native_batch import DUMP_FORMAT, NativeBatch
 from manip.envs.faults import Fault
-from manip.envs.task_registry import check_origin, load_task
+from manip.envs.task import Task
+from manip.envs.task_registry import load_task_named_by
 from manip.errors import UserError, one_line
 from manip.io.tensor_trees import load_tree
 from manip.programs import cli
 from manip.robot_config import RobotConfig
-from manip.sim.batch_engine import Snapshot
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ def main(arguments: Sequence[str]) -> int:
         raise UserError(f"{options.dump} is not a step that a run kept")
     try:
         recorded = Fault(**dump["fault"])
-        check_origin(dump["task"], options.dump.parent)
-        worlds = _world(dump)
+        task = load_task_named_by(options.dump.parent, dump["task"])
+        worlds = _world(dump, task)
         before = _motion(worlds)
         worlds.step(dump["action"][None])
     except UserError:
@@ -59,13 +59,14 @@ def main(arguments: Sequence[str]) -> int:
     return 1 if worlds.faults else 0
 
 
-def _world(dump: dict[str, Any]) -> NativeBatch:
+def _world(dump: dict[str, Any], task: Task) -> NativeBatch:
     """The one world, as it was before the step."""
     robot = RobotConfig(**dump["robot"])
-    options = {"fidelity": dump["fidelity"], "reward": dump["reward"]}
-    worlds = NativeBatch(load_task(dump["task"]), 1, robot=robot, threads=1, **options)
-    worlds.begin(np.zeros(1, int))
-    worlds.engine.restore(Snapshot(dump["state"][None], dump["readings"][None]))
+    options = {name: dump[name] for name in ("fidelity", "reward", "reward_weights")}
+    worlds = NativeBatch(task, 1, robot=robot, threads=1, **options)
+    zero = np.zeros(1, np.int64)
+    state = {"states": dump["state"][None], "readings": dump["readings"][None]}
+    worlds.load_state(state | {"elapsed": zero, "episode": zero, "fault_count": 0})
     return worlds
 
 
