@@ -1,7 +1,9 @@
 """A robosuite environment that is handed in is compared with what a task assumes."""
 
+import threading
 import warnings
 
+import numpy as np
 import pytest
 import robosuite
 
@@ -97,3 +99,25 @@ def test_the_assumed_environment_gives_no_warning(lift: Task) -> None:
         warnings.simplefilter("error")
         StockBatch(lift, stock=built())
         StockBatch(lift, stock=built(horizon=lift.horizon, ignore_done=False))
+
+
+def test_a_second_thread_is_refused(lift: Task) -> None:
+    batch, errors = StockBatch(lift), []
+    batch.begin(np.arange(1))
+    begin = threading.Barrier(3)
+
+    def use() -> None:
+        begin.wait()
+        try:
+            for _ in range(20):
+                batch.step(np.zeros((1, batch.action_dim)))
+        except UserError as error:
+            errors.append(str(error))
+
+    users = [threading.Thread(target=use) for _ in range(3)]
+    for user in users:
+        user.start()
+    for user in users:
+        user.join()
+    assert errors
+    assert all("in use by another thread" in error for error in errors)

@@ -12,7 +12,7 @@ from manip.compiled import fallback_cache
 from manip.errors import check_choice
 from manip.robot_config import RobotConfig, check_robot_config
 from manip.sim.gl import keep_mujoco_gl
-from manip.sim.library_logs import quiet, quiet_robosuite
+from manip.sim.robosuite_log import quiet, quiet_robosuite
 
 # On import robosuite warns of optional packages, sets MUJOCO_GL, and fails where numba
 # cannot store compiled functions.
