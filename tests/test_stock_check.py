@@ -35,17 +35,19 @@ def built(name: str = "Lift", robot: str = "Panda", **options) -> object:
     [
         ({"robot": "Sawyer"}, "robot is 'Sawyer', expected 'Panda'; gripper is"),
         ({"name": "Stack"}, "environment is a Stack, expected Lift"),
-        (
+        pytest.param(
             {"gripper_types": "Robotiq85Gripper"},
             "gripper is 'Robotiq85Gripper', expected 'PandaGripper'",
+            marks=pytest.mark.slow,
         ),
         (
             {"controller_configs": changed_controller(input_type="absolute")},
             "controller input_type is 'absolute', expected 'delta'",
         ),
-        (
+        pytest.param(
             {"controller_configs": changed_controller(input_ref_frame="world")},
             "controller input_ref_frame is 'world', expected 'base'",
+            marks=pytest.mark.slow,
         ),
         (
             {"controller_configs": changed_controller(output_max=[0.1] * 6)},
@@ -56,7 +58,11 @@ def built(name: str = "Lift", robot: str = "Panda", **options) -> object:
             "controller is 'JOINT_POSITION', expected 'OSC_POSE'",
         ),
         ({"horizon": 50, "ignore_done": False}, "horizon is 50, expected at least"),
-        ({"controller_configs": changed_controller(impedance_mode="variable")}, "impe"),
+        pytest.param(
+            {"controller_configs": changed_controller(impedance_mode="variable")},
+            "impedance_mode is 'variable', expected 'fixed'",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_each_difference_is_named_in_one_line(
