@@ -15,7 +15,7 @@ from manip.sim.gl import keep_mujoco_gl
 from manip.sim.robosuite_log import quiet, quiet_robosuite
 
 # On import robosuite warns of optional packages, sets MUJOCO_GL, fails where numba
-# cannot store compiled functions, and asserts that MUJOCO_EGL_DEVICE_ID is a usable GPU.
+# cannot store compiled functions, and asserts that it may use MUJOCO_EGL_DEVICE_ID.
 try:
     with quiet(), keep_mujoco_gl(), fallback_cache("robosuite"):
         import robosuite
