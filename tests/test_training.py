@@ -22,6 +22,7 @@ from sameness import assert_same
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from manip.agents.policy import load_policy
+from manip.agents.registry import algorithm_names, load_algorithm
 from manip.envs.backends import native_batch as native
 from manip.envs.task_registry import load_task, task_names
 from manip.errors import UserError
@@ -31,7 +32,6 @@ from manip.sim.scene import Scene, load_scene
 from manip.sim.sensors import Sensors
 from manip.training.build import policy_of
 from manip.training.config import (
-    ALGORITHMS,
     TrainConfig,
     from_dict,
     recipe,
@@ -669,7 +669,7 @@ def test_every_recipe_loads_for_the_task_and_algorithm_it_is_named_after() -> No
         names = {known.lower(): known for known in task_names()}
         found = recipe(names.get(task, task), algo)
         assert found != recipe("a task without a recipe", algo), name
-        assert isinstance(found.agent, ALGORITHMS[algo])
+        assert isinstance(found.agent, load_algorithm(algo).Config)
         assert load_task(found.task).name.lower() == task
         assert found.eval_every <= found.steps
 
@@ -683,9 +683,10 @@ def test_a_recipe_may_say_more_of_some_arms() -> None:
     assert train._defaults(["--algo", "bc", "--robot", "Jaco"]) == jaco
 
 
-@pytest.mark.parametrize("algo", sorted(ALGORITHMS))
+@pytest.mark.parametrize("algo", algorithm_names())
 def test_options_survive_yaml(algo: str, tmp_path: Path) -> None:
-    widths = next(o.name for o in fields(ALGORITHMS[algo]) if o.name.endswith("hidden"))
+    options = fields(load_algorithm(algo).Config)
+    widths = next(o.name for o in options if o.name.endswith("hidden"))
     config = tiny(algo, tmp_path / "run", seed=3, agent={widths: [8, 8]})
     assert from_dict(yaml.safe_load(yaml.safe_dump(to_dict(config)))) == config
 

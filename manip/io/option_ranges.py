@@ -1,60 +1,86 @@
-"""What the numbers among the options of runs and algorithms may be."""
+"""Ranges of options, declared beside the option and checked for any dataclass.
 
-from dataclasses import fields
-from typing import Any
+    gamma: Annotated[float, SHARE] = 0.95
+    critic_hidden: Annotated[tuple[int, ...], COUNT] = (128, 128)   # each of them
+    horizon: Annotated[int | None, COUNT] = None                    # None is allowed
+
+Numbers without a declared range must be finite.
+"""
+
+import sys
+from dataclasses import dataclass, fields
+from typing import Any, get_type_hints
 
 from manip.errors import MOST, UserError
 
-COUNT = (1, MOST)
-NUMBER = (0, 10**9)
-SHARE = (0, 1)
 
-RANGES: dict[str, tuple[float, float]] = {
-    **dict.fromkeys(("steps", "num_envs", "horizon", "eval_every"), COUNT),
-    **dict.fromkeys(("eval_episodes", "threads", "control_freq", "n_step"), COUNT),
-    **dict.fromkeys(("batch_size", "buffer_size", "actor_delay", "critics"), COUNT),
-    **dict.fromkeys(("rollout_length", "epochs", "minibatches"), COUNT),
-    **dict.fromkeys(("noise_steps", "workers"), COUNT),
-    **dict.fromkeys(("actor_hidden", "critic_hidden"), COUNT),
-    **dict.fromkeys(("random_steps", "conjugate_steps", "backtracks"), (0, MOST)),
-    **dict.fromkeys(
-        ("restart_fraction", "cool_down", "gamma", "gae_lambda", "tau"), SHARE
-    ),
-    **dict.fromkeys(("actor_average", "gripper_bursts", "epsilon", "clones"), SHARE),
-    **dict.fromkeys(("learning_rate", "updates_per_step", "max_gradient"), NUMBER),
-    **dict.fromkeys(("entropy_coefficient", "max_kl", "damping"), NUMBER),
-    **dict.fromkeys(("reference_beta", "noise", "exploration_noise"), NUMBER),
-    **dict.fromkeys(("target_noise", "target_noise_clip"), NUMBER),
-    "checkpoint_every": NUMBER,
-    **dict.fromkeys(("critic_coefficient", "target_kl", "beta"), (1e-9, 10**9)),
-    "clip": SHARE,
-    "action_scale": (1e-6, 1),
-    "bins": (2, 1000),
-    "initial_alpha": (1e-9, 10**9),
-    "seed": (0, 2**32 - 1),
-    "target_entropy": (-(10**9), 10**9),
-}
-"""Option -> the least and the most that it, or each of its numbers, may be."""
+@dataclass(frozen=True)
+class Range:
+    """The least and the greatest value of an option; both are allowed."""
+
+    least: float
+    most: float
+
+    def __contains__(self, value: float) -> bool:
+        return bool(self.least <= value <= self.most)
+
+    def __str__(self) -> str:
+        return f"from {self.least} to {self.most}"
+
+
+COUNT = Range(1, MOST)
+"""A number of things, at least one."""
+WHOLE = Range(0, MOST)
+"""A number of things, or none."""
+SHARE = Range(0, 1)
+"""A fraction."""
+NUMBER = Range(0, 10**9)
+"""Zero or more."""
+POSITIVE = Range(1e-9, 10**9)
+"""More than zero."""
+SIGNED = Range(-(10**9), 10**9)
+"""Any sensible number."""
+FINITE = Range(-sys.float_info.max, sys.float_info.max)
+"""Neither infinite nor NaN: what holds for numbers without a range."""
+
+
+def ranges_of(options: type) -> dict[str, Range]:
+    """Return the ranges that a dataclass declares: name of the option -> range."""
+    hints = get_type_hints(options, include_extras=True)
+    declared = {}
+    for field in fields(options):
+        marks = getattr(hints[field.name], "__metadata__", ())
+        if found := [mark for mark in marks if isinstance(mark, Range)]:
+            declared[field.name] = found[0]
+    return declared
 
 
 def check_options(options: Any) -> None:
-    """Look at every option of a dataclass; those that are None are left open.
+    """Check every number among a dataclass's options against its range.
 
     Raises:
         UserError: one is out of its range.
     """
+    declared = ranges_of(type(options))
     for field in fields(options):
-        value = getattr(options, field.name)
-        for item in value if isinstance(value, tuple) else (value,):
-            if field.name in RANGES and item is not None:
-                _check(field.name, item)
+        for value in _numbers(getattr(options, field.name)):
+            _check(field.name, value, declared.get(field.name, FINITE))
 
 
-def _check(name: str, value: float) -> None:
-    least, most = RANGES[name]
-    if least <= value <= most:
+def _numbers(value: Any) -> list[float]:
+    items = value if isinstance(value, tuple) else (value,)
+    return [item for item in items if isinstance(item, int | float)]
+
+
+def _check(name: str, value: float, allowed: Range) -> None:
+    if value in allowed:
         return
-    words = f"at most {most}" if value > most else f"at least {least}"
-    if (least, most) == SHARE:
-        words = "from 0 to 1"
-    raise UserError(f"{name} must be {words}, not {value}")
+    if allowed == FINITE:
+        limit = "a finite number"
+    elif allowed == SHARE:
+        limit = "from 0 to 1"
+    elif value > allowed.most:
+        limit = f"at most {allowed.most}"
+    else:
+        limit = f"at least {allowed.least}"
+    raise UserError(f"{name} must be {limit}, not {value}")
