@@ -220,7 +220,7 @@ def test_a_buffer_that_was_not_saved_is_filled_again() -> None:
 def test_damaged_counters_are_refused(damage: dict) -> None:
     agent, source = fed(QUICK_SAC)
     feed(agent, source, 2)
-    with pytest.raises(ValueError, match="replay buffer|counters"):
+    with pytest.raises(ValueError, match=r"replay buffer|counters"):
         agent.load_extra_state(agent.extra_state() | damage)
 
 
