@@ -9,7 +9,6 @@ import pytest
 from manip.agents import policy as policy_files
 from manip.agents.policy import load_policy, shipped_policies
 from manip.errors import UserError
-from manip.evaluation import runners as evaluation
 from manip.evaluation.before_merge import CHOICE, EVALUATION
 from manip.evaluation.episodes import Episode
 from manip.evaluation.results_table import HEADER, markdown, rows
@@ -159,7 +158,7 @@ def test_recipes_are_found_by_name_task_and_arm() -> None:
 
 @pytest.fixture
 def tiny(monkeypatch, tmp_path: Path) -> Path:
-    """One tiny recipe, and where its results are stored."""
+    """One tiny recipe whose policies fail, and the file of its results."""
     config = recipes()["reach-ppo"]
     agent = replace(
         config.agent, rollout_length=8, actor_hidden=(8,), critic_hidden=(8,)
@@ -174,7 +173,9 @@ def tiny(monkeypatch, tmp_path: Path) -> Path:
     monkeypatch.setattr(reproduce, "RESULTS", results)
     for module in (policy_files, shipping):
         monkeypatch.setattr(module, "SHIPPED", tmp_path / "policies")
-    monkeypatch.setattr(evaluation, "usable_cpus", lambda: 1)
+    failed = Episode(0, 9, 1.0, False, False, False, None, (False, False))
+    for module in (reproduce, evaluate):
+        monkeypatch.setattr(module, "evaluate_policy", lambda *_: [failed])
     return results
 
 

@@ -75,7 +75,9 @@ class EpisodeTracker:
     def save_state(self) -> dict[str, Any]:
         """Copy what is known of the episodes that are running."""
         counters = [counter.clone() for counter in self._counters()]
-        return {"counters": counters, "milestones": self._milestones.clone()}
+        stepped = self._milestones.shape[1] > 0
+        milestones = self._milestones.clone() if stepped else None
+        return {"counters": counters, "milestones": milestones}
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Restore what `save_state` returned.
