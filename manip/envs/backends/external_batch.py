@@ -15,7 +15,7 @@ from manip.cpus import usable_cpus
 from manip.envs.backends.worker_pool import WorkerPool
 from manip.envs.task import Measures, Start, Task
 from manip.envs.task_batch import TaskBatch
-from manip.errors import UserError, check_choice
+from manip.errors import UserError, check_choice, shown
 from manip.robot_config import RobotConfig
 from manip.sim.external.external_sim import ExternalSim, ExternalStep
 from manip.sim.robosuite_factory import PANDA
@@ -135,7 +135,12 @@ def load_external(name: str) -> ExternalTask:
         UserError: no such library or task; the message lists those that exist.
     """
     library, _, environment = name.partition("/")
-    check_choice("library", library, LIBRARIES)
+    if library not in LIBRARIES:
+        raise UserError(
+            f"unknown task {shown(name)}: a task is a name (see `manip list`), "
+            "package.module:Class for a class of your own, or LIBRARY/NAME with one of "
+            f"the libraries {', '.join(LIBRARIES)}"
+        )
     return LIBRARIES[library](environment)
 
 
