@@ -15,7 +15,7 @@ from manip.cpus import usable_cpus
 from manip.envs.backends.worker_pool import WorkerPool
 from manip.envs.task import Measures, Start, Task
 from manip.envs.task_batch import TaskBatch
-from manip.errors import UserError, check_choice, shown
+from manip.errors import UserError, check_choice, shown, unknown
 from manip.robot_config import RobotConfig
 from manip.sim.external.external_sim import ExternalSim, ExternalStep
 from manip.sim.robosuite_factory import PANDA
@@ -137,9 +137,9 @@ def load_external(name: str) -> ExternalTask:
     library, _, environment = name.partition("/")
     if library not in LIBRARIES:
         raise UserError(
-            f"unknown task {shown(name)}: a task is a name (see `manip list`), "
-            "package.module:Class for a class of your own, or LIBRARY/NAME with one of "
-            f"the libraries {', '.join(LIBRARIES)}"
+            f"task {shown(name)}: {unknown('library', library, LIBRARIES)}; a task is a "
+            "name (see `manip list`), package.module:Class for a class of your own, or "
+            "library/name"
         )
     return LIBRARIES[library](environment)
 
