@@ -37,7 +37,7 @@ def shown(value: object) -> str:
         return "a number too large to show"
 
 
-def one_line(error: Exception) -> str:
+def one_line(error: BaseException) -> str:
     """The start of an error's message, without line breaks."""
     return " ".join(str(error).split())[:200]
 
@@ -49,10 +49,10 @@ def unknown(kind: str, asked: object, known: Iterable[str]) -> UserError:
     "unknown task 'Lfit': did you mean 'Lift'? known tasks: Lift, Reach".
     """
     names = {name.casefold(): name for name in known}
-    kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
     close = get_close_matches(shown(asked).strip("'").casefold(), names, n=1)
     hint = f"did you mean {names[close[0]]!r}? " if close else ""
     listing = ", ".join(names.values())
+    kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
     return UserError(f"unknown {kind} {shown(asked)}: {hint}known {kinds}: {listing}")
 
 

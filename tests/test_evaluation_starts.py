@@ -3,14 +3,9 @@
 import numpy as np
 import pytest
 
-from manip.envs import episode_streams
-from manip.evaluation.before_merge import CHOICE, EVALUATION, Purpose
+from manip.envs.episode_streams import CHOICE, EVALUATION, Purpose
 from manip.evaluation.runners import EpisodeSettings, make_env
 from manip.robot_config import RobotConfig
-
-pytestmark = pytest.mark.skipif(
-    not hasattr(episode_streams, "Purpose"), reason="before the merge"
-)
 
 
 def starts(backend: str, purpose: int, seed: int = 0) -> set[bytes]:

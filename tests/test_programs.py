@@ -20,7 +20,7 @@ import pytest
 import yaml
 
 from manip.agents.policy import WEIGHTS, load_policy
-from manip.envs.backends.external_batch import external_names
+from manip.envs.external_task import external_names
 from manip.envs.task_registry import task_names
 from manip.evaluation import runners as evaluation
 from manip.programs import cli, evaluate, main, render

@@ -8,8 +8,8 @@ import pytest
 
 from manip.agents import policy as policy_files
 from manip.agents.policy import load_policy, shipped_policies
+from manip.envs.episode_streams import CHOICE, EVALUATION
 from manip.errors import UserError
-from manip.evaluation.before_merge import CHOICE, EVALUATION
 from manip.evaluation.episodes import Episode
 from manip.evaluation.results_table import HEADER, markdown, rows
 from manip.evaluation.runners import EpisodeSettings, make_env

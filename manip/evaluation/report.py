@@ -9,7 +9,7 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from manip.envs.backends.external_batch import library_of
+from manip.envs.external_task import library_of
 from manip.evaluation.episodes import Episode
 from manip.evaluation.statistics import Rate, success_rate
 from manip.io.printable import printable

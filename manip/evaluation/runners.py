@@ -12,14 +12,11 @@ import torch
 
 from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
+from manip.envs.backends.worker_pool import end_with_parent
+from manip.envs.episode_streams import EVALUATION, Purpose
 from manip.envs.make_batch import Backend, make_batch
-from manip.evaluation.before_merge import (
-    EVALUATION,
-    Purpose,
-    check_observation,
-    end_with_parent,
-    purpose_option,
-)
+from manip.envs.task import Task
+from manip.evaluation.before_merge import check_observation
 from manip.evaluation.episodes import Episode, Policy, run_episodes
 from manip.robot_config import RobotConfig
 from manip.sim.scene import Fidelity
@@ -33,7 +30,7 @@ class EpisodeSettings:
     """The episodes of an evaluation; they depend on nothing else.
 
     Attributes:
-        task: name of the task.
+        task: the task, or its name.
         robot: arm, controller and control frequency.
         observation: the parts that the policy needs, from its card; they are compared
             with the environment's unless None.
@@ -46,7 +43,7 @@ class EpisodeSettings:
         fidelity: physics of the native backend.
     """
 
-    task: str
+    task: str | Task
     robot: RobotConfig
     observation: Any = None
     episodes: int = 100
@@ -83,15 +80,17 @@ def make_env(settings: EpisodeSettings, num_envs: int = 1) -> TaskEnv:
         UserError: the environment lacks a part of the observation.
     """
     native = settings.backend == "native"
-    options = {"fidelity": settings.fidelity} if native else {"hard_reset": True}
+    options: dict[str, Any] = (
+        {"fidelity": settings.fidelity} if native else {"hard_reset": True}
+    )
     batch = make_batch(
         settings.task,
         num_envs,
         backend=settings.backend,
         robot=settings.robot,
         seed=settings.seed,
-        **options,
-        **purpose_option(settings.purpose),
+        purpose=settings.purpose,
+        **(fidelity if native else hard_reset),
     )
     if settings.observation is not None:
         check_observation(settings.observation, batch)
@@ -119,7 +118,7 @@ def _stock_episodes(policy: Policy, settings: EpisodeSettings) -> Iterator[Episo
 
 def _stock_episode(env: TaskEnv, policy: Policy, index: int) -> Episode:
     """Run episode `index` of the settings, whatever ran before."""
-    env.batch.episode[:] = index - 1
+    env.batch.restart(episode=index)
     return run_episodes(env, policy, 1)[0]
 
 

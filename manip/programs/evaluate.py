@@ -12,9 +12,10 @@ from rich.console import Console
 from rich.progress import Progress
 
 from manip.agents.policy import Policy, load_policy
-from manip.envs.backends.external_batch import library_of
+from manip.envs.external_task import library_of
 from manip.envs.make_batch import Backend
-from manip.envs.task_registry import check_origin, load_task
+from manip.envs.task import Task
+from manip.envs.task_registry import load_task_named_by
 from manip.errors import at_least
 from manip.evaluation.episodes import Episode
 from manip.evaluation.report import Evaluation, summarise, table
@@ -79,11 +80,10 @@ def evaluate(options: Evaluate) -> Evaluation:
     at_least(0, "--seed", options.seed)
     policy = load_policy(options.run)
     card = policy.card
-    check_origin(card.task, options.run)
-    task = load_task(card.task)
-    settings = _settings(options, policy)
+    task = load_task_named_by(options.run, card.task)
+    settings = _settings(options, policy, task)
     began = time.monotonic()
-    episodes = _run(policy, settings)
+    episodes = _run(policy, settings, f"{options.env} {library_of(card.task)}")
     return Evaluation(
         task=card.task,
         robot=card.robot,
@@ -100,9 +100,9 @@ def evaluate(options: Evaluate) -> Evaluation:
     )
 
 
-def _settings(options: Evaluate, policy: Policy) -> EpisodeSettings:
+def _settings(options: Evaluate, policy: Policy, task: Task) -> EpisodeSettings:
     return EpisodeSettings(
-        task=policy.card.task,
+        task=task,
         robot=policy.card.robot_config,
         observation=policy.card.layout,
         episodes=options.episodes,
@@ -112,9 +112,8 @@ def _settings(options: Evaluate, policy: Policy) -> EpisodeSettings:
     )
 
 
-def _run(policy: Policy, settings: EpisodeSettings) -> list[Episode]:
+def _run(policy: Policy, settings: EpisodeSettings, name: str) -> list[Episode]:
     """Run the episodes, with a progress bar on stderr."""
-    name = f"{settings.backend} {library_of(settings.task)}"
     with Progress(console=Console(stderr=True), transient=True) as bar:
         running = bar.add_task(name, total=settings.episodes)
         return evaluate_policy(policy, settings, lambda n: bar.advance(running, n))

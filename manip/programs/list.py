@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from manip.agents.policy import shipped_policies
-from manip.envs.backends.external_batch import external_names
+from manip.envs.external_task import external_names
 from manip.envs.task_registry import task_names
 from manip.io.printable import printable
 from manip.programs import cli

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from manip.errors import unknown
 from manip.programs import cli
+from manip.sim.robosuite_log import quiet_robosuite
 
 PROGRAMS = {
     "train": "train a policy",
@@ -44,18 +45,10 @@ def _dispatch(arguments: Sequence[str]) -> int:
 
 def _program(name: str) -> cli.Program:
     """Import a program; only programs silence robosuite's log, imports never do."""
-    _quiet_robosuite()
+    quiet_robosuite()
     module = importlib.import_module(f"manip.programs.{name}")
     program: cli.Program = module.main
     return program
-
-
-def _quiet_robosuite() -> None:
-    try:  # before the merge; then: from manip.sim.robosuite_log import quiet_robosuite
-        log = importlib.import_module("manip.sim.robosuite_log")
-    except ImportError:
-        return
-    log.quiet_robosuite()
 
 
 def _usage() -> str:

@@ -14,7 +14,8 @@ from tensordict import TensorDictBase
 from manip.agents.policy import Policy, load_policy
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.backends.native_batch import NativeBatch
-from manip.envs.task_registry import check_origin
+from manip.envs.task import Task
+from manip.envs.task_registry import load_task_named_by
 from manip.errors import UserError, at_least
 from manip.evaluation.episodes import run_episodes
 from manip.evaluation.runners import EpisodeSettings, make_env
@@ -75,8 +76,8 @@ def film(options: Render) -> None:
     """
     _check(options)
     policy = load_policy(options.run)
-    check_origin(policy.card.task, options.run)
-    env = make_env(_settings(options, policy), options.episodes)
+    task = load_task_named_by(options.run, policy.card.task)
+    env = make_env(_settings(options, policy, task), options.episodes)
     _draw_one(env, options)
     recorder = Recorder(env)
     run_episodes(env, policy, options.episodes, callback=recorder)
@@ -102,9 +103,9 @@ def _draw_one(env: TaskEnv, options: Render) -> None:
     env.batch.restart()
 
 
-def _settings(options: Render, policy: Policy) -> EpisodeSettings:
+def _settings(options: Render, policy: Policy, task: Task) -> EpisodeSettings:
     return EpisodeSettings(
-        task=policy.card.task,
+        task=task,
         robot=policy.card.robot_config,
         observation=policy.card.layout,
         episodes=options.episodes,

@@ -12,14 +12,15 @@ from rich.text import Text
 
 from manip.envs.backends.native_batch import DUMP_FORMAT, NativeBatch
 from manip.envs.faults import Fault
-from manip.envs.task_registry import check_origin, load_task
+from manip.envs.task import Task
+from manip.envs.task_registry import load_task_named_by
 from manip.errors import UserError, one_line
 from manip.io.printable import printable
 from manip.io.tensor_trees import load_tree
 from manip.programs import cli
 from manip.programs.output import console
 from manip.robot_config import RobotConfig
-from manip.sim.batch_engine import Snapshot
+from manip.sim.engine import Snapshot
 
 Motion = dict[str, tuple[float, float]]
 """Joint -> its first coordinate [m or rad] and the largest of its speeds."""
@@ -55,8 +56,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def _replay(dump: dict[str, Any], path: Path) -> int:
     recorded = Fault(**dump["fault"])
-    check_origin(dump["task"], path.parent)
-    batch = _batch(dump)
+    batch = _batch(dump, load_task_named_by(path.parent, dump["task"]))
     before = _motion(batch)
     batch.step(dump["action"][None])
     _print("then", str(recorded))
@@ -70,11 +70,11 @@ def _print(name: str, text: str) -> None:
     console().print(f"{name}: {printable(text)}", markup=False, highlight=False)
 
 
-def _batch(dump: dict[str, Any]) -> NativeBatch:
+def _batch(dump: dict[str, Any], task: Task) -> NativeBatch:
     """One environment, in its state before the step."""
     robot = RobotConfig(**dump["robot"])
-    options = {"fidelity": dump["fidelity"], "reward": dump["reward"]}
-    batch = NativeBatch(load_task(dump["task"]), 1, robot=robot, threads=1, **options)
+    options = {name: dump[name] for name in ("fidelity", "reward", "reward_weights")}
+    batch = NativeBatch(task, 1, robot=robot, threads=1, **options)
     batch.begin(np.zeros(1, int))
     batch.engine.restore(Snapshot(dump["state"][None], dump["readings"][None]))
     return batch

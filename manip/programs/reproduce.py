@@ -11,8 +11,8 @@ import tyro
 
 from manip.agents.policy import load_policy
 from manip.cpus import machine
+from manip.envs.episode_streams import CHOICE
 from manip.errors import UserError, check_choice, unknown
-from manip.evaluation.before_merge import CHOICE
 from manip.evaluation.results_table import percent, result_percent
 from manip.evaluation.runners import EpisodeSettings, evaluate_policy
 from manip.evaluation.shipped_results import (

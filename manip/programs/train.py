@@ -9,8 +9,8 @@ from pathlib import Path
 
 import tyro
 
-from manip.envs.backends.external_batch import ExternalTask
-from manip.envs.task_registry import check_origin, load_task
+from manip.envs.external_task import ExternalTask
+from manip.envs.task_registry import load_task, load_task_named_by
 from manip.errors import UserError, check_choice, unknown
 from manip.programs import cli
 from manip.robot_config import ROBOTS
@@ -64,5 +64,5 @@ def _recorded(out: Path | None) -> TrainConfig:
     if out is None or not path.is_file():
         raise UserError(f"--resume needs --out with a run folder; there is no {path}")
     config = replace(recorded(out), out=out, resume=True)
-    check_origin(config.task, out)
+    load_task_named_by(out, config.task)
     return config

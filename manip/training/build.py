@@ -20,7 +20,7 @@ from manip.agents.td3 import TD3, TD3Config
 from manip.agents.trpo import TRPO, TRPOConfig
 from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
-from manip.envs.backends.external_batch import ExternalTask
+from manip.envs.external_task import ExternalTask
 from manip.envs.make_batch import make_batch
 from manip.envs.task_registry import load_task
 from manip.errors import UserError
