@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -39,9 +40,10 @@ from manip.training.config import (
     recipes,
     to_dict,
 )
-from manip.training.lifecycle import Interruptible
-from manip.training.progress import TrainingProgress
+from manip.rewards.reward_function import EnvironmentReward
+from manip.training.lifecycle import SignalHandler
 from manip.training.run_logs import MetricsTable, read_metrics
+from manip.training.terminal import TerminalProgress
 from manip.training.trainer import Trainer
 
 AGENTS = {
@@ -105,6 +107,10 @@ def tiny(algo: str, out: Path, **changes: Any) -> TrainConfig:
     return from_dict(options | changes)
 
 
+def new_trainer(config: TrainConfig) -> Trainer:
+    return Trainer(config, TerminalProgress(), EnvironmentReward(), Event())
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _shared_scenes() -> Iterator[None]:
     """Runs of the same rig share its compiled scene: building one takes longest."""
@@ -127,7 +133,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Traine
 
     def finished(algo: str) -> Trainer:
         if algo not in runs:
-            runs[algo] = Trainer(tiny(algo, tmp_path_factory.mktemp(algo) / "run"))
+            runs[algo] = new_trainer(tiny(algo, tmp_path_factory.mktemp(algo) / "run"))
             assert runs[algo].run()
         return runs[algo]
 
@@ -136,13 +142,14 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Traine
 
 def stop_after(trainer: Trainer, updates: int) -> None:
     """Have the run stop as a signal stops it, during its n-th update."""
-    update, count = trainer.agent.update, iter(range(1, updates + 1))
+    update, count = trainer.parts.agent.update, iter(range(1, updates + 1))
 
     def counted(batch: Any) -> dict[str, float]:
-        trainer.stopping = next(count) == updates
+        if next(count) == updates:
+            trainer.stop.set()
         return update(batch)
 
-    trainer.agent.update = counted
+    trainer.parts.agent.update = counted
 
 
 def timeless(folder: Path) -> list[dict[str, str]]:
@@ -181,7 +188,7 @@ def test_a_run_leaves_config_metrics_events_checkpoint_and_policy(
     assert from_dict(recorded) == run.config
     checkpoints = {path.stem for path in (run.folder / "checkpoints").iterdir()}
     assert checkpoints == {"latest", "previous", "best"}
-    assert state_of(run.folder)["progress"]["env_steps"] == run.env_steps == 512
+    assert state_of(run.folder)["progress"]["env_steps"] == run.state.env_steps == 512
 
 
 @by_algorithm
@@ -220,22 +227,22 @@ def assert_holds(modules: dict[str, Any], weight: torch.Tensor) -> None:
 
 
 def test_learning_rates_fall_to_zero_in_the_last_share(tmp_path, monkeypatch) -> None:
-    run, found = Trainer(tiny("sac", tmp_path / "run", cool_down=0.5)), []
-    update = run.agent.update
+    run, found = new_trainer(tiny("sac", tmp_path / "run", cool_down=0.5)), []
+    update = run.parts.agent.update
 
     def recorded(batch):
-        (group,) = run.agent.optimisers()["critic"].param_groups
-        found.append((run.env_steps, group["lr"]))
+        (group,) = run.parts.agent.optimisers()["critic"].param_groups
+        found.append((run.state.env_steps, group["lr"]))
         return update(batch)
 
-    monkeypatch.setattr(run.agent, "update", recorded)
+    monkeypatch.setattr(run.parts.agent, "update", recorded)
     run.run()
     steps, rates = map(np.array, zip(*found, strict=True))
     expected = run.config.agent.learning_rate * np.minimum(1, 2 * (1 - steps / 512))
     np.testing.assert_allclose(rates, expected, atol=1e-12)
     assert steps[-1] == 512
-    (group,) = run.agent.optimisers()["critic"].param_groups
-    run.env_steps += 64  # the last rollout may pass the end
+    (group,) = run.parts.agent.optimisers()["critic"].param_groups
+    run.state.env_steps += 64  # the last rollout may pass the end
     for share, rate in ((0.5, 0.0), (0.0, run.config.agent.learning_rate)):
         run.config = replace(run.config, cool_down=share)
         run._set_learning_rates()
@@ -255,14 +262,14 @@ def test_the_policy_kept_is_the_best_evaluated_one(algo, finished) -> None:
     assert checkpoint["progress"]["env_steps"] == card.env_steps
     assert_holds(checkpoint["modules"], policy.actor.body[-1].weight)
     assert (card.task, card.robot, card.algo) == ("Reach", "Panda", algo)
-    assert list(card.layout) == list(run.judge.batch.layout)
+    assert list(card.layout) == list(run.parts.evaluator.env.batch.layout)
 
 
 def test_evaluations_are_of_the_same_episodes(tmp_path: Path) -> None:
     """A policy that does not learn is judged alike each time."""
     agent = {"learning_rate": 0.0, "normalise": False}
     config = tiny("ppo", tmp_path / "run", agent=agent)
-    Trainer(config).run()
+    new_trainer(config).run()
     rows = read_metrics(config.folder / "metrics.csv")
     judged = [{k: v for k, v in row.items() if k.startswith("eval/")} for row in rows]
     assert len(judged) == 3
@@ -271,7 +278,7 @@ def test_evaluations_are_of_the_same_episodes(tmp_path: Path) -> None:
 
 @by_algorithm
 def test_the_same_seed_gives_the_same_run_bit_for_bit(algo, finished, tmp_path) -> None:
-    again = Trainer(tiny(algo, tmp_path / "again"))
+    again = new_trainer(tiny(algo, tmp_path / "again"))
     assert again.run()
     assert_equal_runs(finished(algo).folder, again.folder)
 
@@ -281,7 +288,7 @@ def test_the_same_seed_gives_the_same_run_bit_for_bit(algo, finished, tmp_path) 
 def test_the_number_of_threads_does_not_change_a_run(
     threads: int, algo: str, finished, tmp_path: Path
 ) -> None:
-    again = Trainer(tiny(algo, tmp_path / "again", threads=threads))
+    again = new_trainer(tiny(algo, tmp_path / "again", threads=threads))
     assert again.run()
     assert_equal_runs(finished(algo).folder, again.folder)
 
@@ -290,7 +297,7 @@ def test_the_number_of_threads_does_not_change_a_run(
 @by_algorithm
 def test_sixteen_worlds_give_the_same_run_twice(algo: str, tmp_path: Path) -> None:
     for name in ("first", "second"):
-        assert Trainer(tiny(algo, tmp_path / name, num_envs=16, steps=2048)).run()
+        assert new_trainer(tiny(algo, tmp_path / name, num_envs=16, steps=2048)).run()
     assert_equal_runs(tmp_path / "first", tmp_path / "second")
 
 
@@ -299,16 +306,16 @@ def test_overlap_acts_with_the_policy_of_one_round_before(
     overlap: bool, ages: list[int], tmp_path: Path
 ) -> None:
     config = tiny("sac", tmp_path / "run", overlap=overlap, steps=3 * ROLLOUT["sac"])
-    trainer, rounds, known = Trainer(config), [], []
-    policy, update = trainer.agent.policy, trainer.agent.update
-    trainer.agent.policy = lambda: (known.append(len(rounds)), policy())[1]
-    trainer.agent.update = lambda batch: (update(batch), rounds.append(1))[0]
+    trainer, rounds, known = new_trainer(config), [], []
+    policy, update = trainer.parts.agent.policy, trainer.parts.agent.update
+    trainer.parts.agent.policy = lambda: (known.append(len(rounds)), policy())[1]
+    trainer.parts.agent.update = lambda batch: (update(batch), rounds.append(1))[0]
     assert trainer.run()
     assert [round_ - seen for round_, seen in enumerate(known)] == ages
 
 
 def test_another_seed_gives_another_run(finished, tmp_path) -> None:
-    other = Trainer(tiny("ppo", tmp_path / "other", seed=1))
+    other = new_trainer(tiny("ppo", tmp_path / "other", seed=1))
     assert other.run()
     pairs = zip(timeless(finished("ppo").folder), timeless(other.folder), strict=True)
     assert all(mine["eval/return"] != its["eval/return"] for mine, its in pairs)
@@ -332,18 +339,18 @@ def test_an_interrupted_run_goes_on_bit_for_bit(
 ) -> None:
     config = tiny(algo, tmp_path / "run")
     for number, updates in enumerate(stops):
-        trainer = Trainer(replace(config, resume=number > 0))
+        trainer = new_trainer(replace(config, resume=number > 0))
         stop_after(trainer, updates)
         assert not trainer.run()
-        assert trainer.env_steps == sum(stops[: number + 1]) * ROLLOUT[algo]
-    assert Trainer(replace(config, resume=True)).run()
+        assert trainer.state.env_steps == sum(stops[: number + 1]) * ROLLOUT[algo]
+    assert new_trainer(replace(config, resume=True)).run()
     assert_equal_runs(finished(algo).folder, config.folder)
 
 
 def test_a_finished_run_can_be_prolonged(finished, tmp_path: Path) -> None:
     short = tiny("ppo", tmp_path / "run", steps=384)
-    assert Trainer(short).run()
-    assert Trainer(replace(short, steps=512, resume=True)).run()
+    assert new_trainer(short).run()
+    assert new_trainer(replace(short, steps=512, resume=True)).run()
     assert_equal_runs(finished("ppo").folder, short.folder)
 
 
@@ -362,13 +369,13 @@ def test_a_run_is_not_overwritten(finished) -> None:
     with pytest.raises(
         UserError, match=f"{run.folder} already holds a run: .*--resume"
     ):
-        Trainer(run.config)
+        new_trainer(run.config)
     assert contents(run.folder) == before
 
 
 def test_nothing_is_not_resumed(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="nothing to resume: there is no"):
-        Trainer(tiny("ppo", tmp_path / "run", resume=True)).run()
+    with pytest.raises(UserError, match="nothing to resume: there is no checkpoint"):
+        new_trainer(tiny("ppo", tmp_path / "run", resume=True)).run()
     assert not (tmp_path / "run").exists()
 
 
@@ -403,8 +410,8 @@ def test_a_run_goes_on_from_the_checkpoint_before_a_damaged_one(
     config = copy_of(run, tmp_path / "run")
     latest = config.folder / "checkpoints" / "latest.safetensors"
     damage(latest)
-    again = Trainer(replace(config, resume=True))
-    with pytest.warns(UserWarning, match=f"{latest} is damaged.*; trying the one bef"):
+    again = new_trainer(replace(config, resume=True))
+    with pytest.warns(UserWarning, match=f"{latest} is damaged.*; trying the checkpoint bef"):
         assert again.run()
     assert_equal_runs(run.folder, config.folder)
 
@@ -428,7 +435,7 @@ def test_a_checkpoint_that_does_not_fit_is_told_and_costs_nothing(
     save_tree(latest, change(load_tree(latest)))
     before = contents(config.folder)
     with pytest.raises(UserError, match=told):
-        Trainer(replace(config, resume=True)).run()
+        new_trainer(replace(config, resume=True)).run()
     assert contents(config.folder) == before
 
 
@@ -449,7 +456,7 @@ def test_a_run_does_not_go_on_with_other_options(
     other = tiny(change.pop("algo", "ppo"), folder, resume=True, **change)
     before = contents(folder)
     with pytest.raises(UserError, match=f"cannot go on with other options: .*{told}"):
-        Trainer(other).run()
+        new_trainer(other).run()
     assert contents(folder) == before
 
 
@@ -458,7 +465,7 @@ def test_other_versions_are_told_when_a_run_goes_on(finished, tmp_path: Path) ->
     latest = config.folder / "checkpoints" / "latest.safetensors"
     rewrite(latest, lambda tree: tree["versions"].update(mujoco="2.0"))
     with pytest.warns(UserWarning, match=r"mujoco was 2.0, is .*not .* bit for bit"):
-        assert Trainer(replace(config, resume=True)).run()
+        assert new_trainer(replace(config, resume=True)).run()
 
 
 def test_a_run_folder_is_for_one_process_at_a_time(finished, tmp_path: Path) -> None:
@@ -470,11 +477,11 @@ def test_a_run_folder_is_for_one_process_at_a_time(finished, tmp_path: Path) -> 
     assert holder.stdout.readline() == "locked\n"
     told = f"is in use by process {holder.pid} on .*: wait for it, stop it, or"
     with pytest.raises(UserError, match=told):
-        Trainer(replace(config, resume=True)).run()
+        new_trainer(replace(config, resume=True)).run()
     holder.kill()
     holder.wait()
     assert contents(config.folder).keys() == before.keys()
-    assert Trainer(replace(config, resume=True)).run()
+    assert new_trainer(replace(config, resume=True)).run()
 
 
 HOLD = """
@@ -502,8 +509,8 @@ def test_a_full_disk_ends_a_run_that_goes_on_bit_for_bit(
         patched.setattr(os, "fsync", fsync)
         told = f"No space left on device; .*--resume --out {config.folder}"
         with pytest.raises(UserError, match=told):
-            Trainer(config).run()
-    assert Trainer(replace(config, resume=True)).run()
+            new_trainer(config).run()
+    assert new_trainer(replace(config, resume=True)).run()
     assert_equal_runs(finished("ppo").folder, config.folder)
 
 
@@ -517,7 +524,7 @@ def test_logs_of_a_run_that_goes_on_hold_every_row_once(
     table.write_text(table.read_text()[:-7] + "1,2,3\n5")
     for events in (config.folder / "tensorboard").iterdir():
         events.write_bytes(events.read_bytes()[:-9])
-    assert Trainer(replace(config, resume=True)).run()
+    assert new_trainer(replace(config, resume=True)).run()
     assert read_metrics(table) == expected
     assert_tensorboard_holds(expected, config.folder)
 
@@ -537,26 +544,26 @@ def test_a_run_goes_on_without_the_buffer_that_was_not_saved(
     tmp_path: Path, capsys
 ) -> None:
     config = tiny("sac", tmp_path / "run", save_buffer=False)
-    trainer = Trainer(config)
+    trainer = new_trainer(config)
     stop_after(trainer, 11)
     assert not trainer.run()
     assert "replay buffer" not in capsys.readouterr().err
     lean = trainer.checkpoints.latest.stat().st_size
-    again, counts = Trainer(replace(config, save_buffer=True, resume=True)), []
-    update = again.agent.update
+    again, counts = new_trainer(replace(config, save_buffer=True, resume=True)), []
+    update = again.parts.agent.update
 
     def counted(batch: Any) -> dict[str, float]:
         found = update(batch)
-        counts.append(again.agent.extra_state()["updates"])
+        counts.append(again.parts.agent.extra_state()["updates"])
         return found
 
-    again.agent.update = counted
+    again.parts.agent.update = counted
     with pytest.warns(UserWarning, match="holds no replay buffer: it is filled anew"):
         assert again.run()
     first, second, third, fourth, fifth = counts
     assert 0 < first == second == third < fourth < fifth
     said = capsys.readouterr().err
-    assert re.search(r"MiB \(.* of them the replay buffer: --no-save-buffer\)", said)
+    assert re.search(r"MiB \(replay buffer: .*--no-save-buffer\)", said)
     rows = state_of(config.folder)["agent"]["buffer"]
     assert trainer.checkpoints.latest.stat().st_size > lean + rows.nbytes / 2
 
@@ -566,8 +573,8 @@ def test_faults_are_told_counted_and_kept_and_a_run_goes_on(
 ) -> None:
     config = tiny("ppo", tmp_path / "run")
     for updates in (1, None):
-        trainer = Trainer(replace(config, resume=updates is None))
-        fall_ill(trainer.envs[0].batch.task, 2)
+        trainer = new_trainer(replace(config, resume=updates is None))
+        fall_ill(trainer.parts.envs[0].batch.task, 2)
         if updates:
             stop_after(trainer, updates)
         assert trainer.run() is (updates is None)
@@ -602,16 +609,16 @@ def heard(request) -> Iterator[signal.Signals]:
 
 
 def test_a_signal_ends_the_run_after_its_update(heard, tmp_path, capfd) -> None:
-    trainer = Trainer(tiny("ppo", tmp_path / "run"))
-    update = trainer.agent.update
+    trainer = new_trainer(tiny("ppo", tmp_path / "run"))
+    update = trainer.parts.agent.update
 
     def interrupted(batch: Any) -> dict[str, float]:
         signal.raise_signal(heard)
         return update(batch)
 
-    trainer.agent.update = interrupted
+    trainer.parts.agent.update = interrupted
     assert not trainer.run()
-    assert "once more leaves at once" in capfd.readouterr().err
+    assert "repeat to quit at once" in capfd.readouterr().err
     assert signal.getsignal(heard) == signal.SIG_DFL
     assert state_of(trainer.folder)["progress"]["env_steps"] == ROLLOUT["ppo"]
 
@@ -619,7 +626,7 @@ def test_a_signal_ends_the_run_after_its_update(heard, tmp_path, capfd) -> None:
 def test_an_ignored_signal_stays_ignored() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        with Interruptible(lambda: pytest.fail("heard")):
+        with SignalHandler(lambda: pytest.fail("heard")):
             signal.raise_signal(signal.SIGHUP)
         assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
     finally:
@@ -627,7 +634,7 @@ def test_an_ignored_signal_stays_ignored() -> None:
 
 
 def test_what_is_said_is_said_as_it_is(capsys) -> None:
-    TrainingProgress(1, 0, ()).say("runs/[/a][b]")
+    TerminalProgress().say("runs/[/a][b]")
     assert capsys.readouterr().err == "runs/[/a][b]\n"
 
 
@@ -724,7 +731,7 @@ def test_wrong_options_are_told(values: dict[str, Any], told: str) -> None:
 @by_algorithm
 def test_a_policy_is_what_the_agent_would_do(algo, finished) -> None:
     run = finished(algo)
-    policy = policy_of(run.agent, run.config, run.judge, run.env_steps)
-    observation = run.judge.observe()["observation"]
-    assert torch.equal(policy(observation), run.agent.actor.decide(observation))
+    policy = policy_of(run.parts.agent, run.config, run.parts.evaluator.env, run.state.env_steps)
+    observation = run.parts.evaluator.env.observe()["observation"]
+    assert torch.equal(policy(observation), run.parts.agent.actor.decide(observation))
     assert policy.card.observation_dim == observation.shape[1]

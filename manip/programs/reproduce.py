@@ -28,7 +28,8 @@ from manip.programs.results import table
 from manip.robot_config import ROBOTS
 from manip.training.build import imitates
 from manip.training.config import TrainConfig, recipes
-from manip.training.trainer import Trainer, begin_or_resume
+from manip.training.run import RunResult, train_or_resume
+from manip.training.terminal import TerminalProgress
 from manip.versions import versions
 
 STOPPED = 3
@@ -125,22 +126,24 @@ def _runs(config: TrainConfig, options: Reproduce, stored: Results) -> Iterator[
     for seed in range(options.seeds):
         name = _run_name(_key(config), seed)
         console.rule(name)
-        trainer = begin_or_resume(replace(config, seed=seed, out=options.out / name))
-        if not trainer.run():
+        run_config = replace(config, seed=seed, out=options.out / name)
+        with TerminalProgress() as progress:
+            result = train_or_resume(run_config, callback=progress)
+        if not result.finished:
             return
-        run = _judged(trainer, options.episodes)
+        run = _evaluated(result, seed, options.episodes)
         console.print(f"{name}: {_comparison(run, _key(config), stored)}")
         yield run
 
 
-def _judged(trainer: Trainer, episodes: int) -> Run:
-    judged = evaluate(Evaluate(trainer.folder, "stock", episodes))
+def _evaluated(result: RunResult, seed: int, episodes: int) -> Run:
+    evaluation = evaluate(Evaluate(result.folder, "stock", episodes))
     return Run(
-        seed=trainer.config.seed,
-        success_held=round(judged.success["success_held"].rate * episodes),
+        seed=seed,
+        success_held=round(evaluation.success["success_held"].rate * episodes),
         episodes=episodes,
-        env_steps=trainer.env_steps,
-        minutes=round(trainer.seconds / 60, 1),
+        env_steps=result.env_steps,
+        minutes=round(result.seconds / 60, 1),
     )
 
 
