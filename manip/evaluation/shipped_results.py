@@ -12,6 +12,7 @@ import yaml
 from manip.errors import UserError
 from manip.evaluation.statistics import Rate, success_rate
 from manip.io.atomic_files import write_text
+from manip.io.yaml_files import read_yaml
 
 RESULTS = Path(str(files("manip.assets"))) / "results.yaml"
 
@@ -104,7 +105,7 @@ def load_results(path: Path = RESULTS) -> Results:
         UserError: the file is damaged.
     """
     try:
-        found = yaml.safe_load(path.read_text())
+        found = read_yaml(path)
         results = tuple(map(_result, found["results"]))
         return Results(found["robosuite_benchmark"], results)
     except (yaml.YAMLError, KeyError, TypeError) as error:

@@ -2,8 +2,8 @@
 
 The header's metadata holds the checksum of the whole file, computed with zeros in the
 checksum's place. Every safetensors reader can read these files. The same tensors and
-metadata always give the same bytes: `safetensors.save_file` does not promise that, as it
-writes metadata in the order of a hash table.
+metadata always give the same bytes: `safetensors.save_file` writes metadata in the
+random order of a hash table.
 
 Format: https://github.com/huggingface/safetensors#format
 """
@@ -14,7 +14,7 @@ import os
 from collections.abc import Mapping
 from io import BufferedIOBase
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
@@ -22,7 +22,7 @@ from manip.io.atomic_files import replace_file
 
 _ZEROS = "0" * 64
 _MARK = b'"checksum":"'
-"""Marks the checksum's place in the header: other text there has its quotes escaped."""
+"""The checksum's place in the header: other text there has its quotes escaped."""
 
 _DTYPES = {
     torch.float64: "F64",
@@ -105,9 +105,10 @@ def _header(tensors: Mapping[str, torch.Tensor], metadata: Mapping[str, str]) ->
     return text + b" " * (-len(text) % _ALIGNMENT)
 
 
-def _bytes(tensor: torch.Tensor) -> memoryview:
+def _bytes(tensor: torch.Tensor) -> Any:
+    """A tensor's memory, without a copy where it is contiguous."""
     flat = tensor.detach().contiguous().reshape(-1)
-    return memoryview(flat.view(torch.uint8).numpy())
+    return flat.view(torch.uint8).numpy()
 
 
 def _read_checksum(file: BufferedIOBase) -> _Checksum:

@@ -66,7 +66,7 @@ def parse_yaml(text: str) -> Any:
     Raises:
         yaml.YAMLError, ValueError, TypeError, RecursionError: it is not plain YAML.
     """
-    return yaml.load(text, _PlainLoader)  # noqa: S506 (a SafeLoader)
+    return yaml.load(text, _PlainLoader)
 
 
 def dump_yaml(values: Any) -> str:

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import yaml
 from rich.console import Console
 from rich.table import Table
 
@@ -17,9 +16,10 @@ from manip.programs import cli
 from manip.programs.evaluate import Evaluate, evaluate
 from manip.programs.render import Render, film
 from manip.training.checkpoint import Checkpoints
-from manip.training.config import recipe
+from manip.training.config import TrainConfig, recipe, recorded
+from manip.training.run import RunResult, train
 from manip.training.run_logs import read_metrics
-from manip.training.trainer import Trainer
+from manip.training.terminal import TerminalProgress
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,9 @@ def main(arguments: Sequence[str]) -> int:
     options = cli.parse(Demo, arguments, "demo")
     console = Console()
     console.rule("1/3  train: Lift, Panda, SAC")
-    trainer = _trainer(options)
-    if not trainer.run():
+    with TerminalProgress() as progress:
+        run = train(_config(options), callback=progress)
+    if not run.finished:
         return 3
     console.rule(f"2/3  evaluate: {options.episodes} episodes in stock robosuite")
     result = evaluate(Evaluate(options.out, "stock", options.episodes))
@@ -54,16 +55,16 @@ def main(arguments: Sequence[str]) -> int:
     title = f"Lift, Panda, SAC, seed {options.seed}"
     plot_learning_curve(read_metrics(options.out / "metrics.csv"), title, curve)
     console.print(table(result))
-    console.print(_summary(options.out, trainer, result))
+    console.print(_summary(run, result))
     return 0
 
 
-def _trainer(options: Demo) -> Trainer:
+def _config(options: Demo) -> TrainConfig:
     config = replace(recipe("Lift", "sac"), seed=options.seed, out=options.out)
     if _unfinished(options.out, config.steps):
-        return Trainer(replace(config, resume=True))
+        return replace(config, resume=True)
     _clear(options.out)
-    return Trainer(config)
+    return config
 
 
 def _clear(folder: Path) -> None:
@@ -82,18 +83,18 @@ def _clear(folder: Path) -> None:
 def _unfinished(folder: Path, steps: int) -> bool:
     if not Checkpoints(folder).exist():
         return False
-    recorded = yaml.safe_load((folder / "config.yaml").read_text())
+    steps_before = recorded(folder).steps
     rows = read_metrics(folder / "metrics.csv")
     done = int(rows[-1]["env_steps"]) if rows else 0
-    return bool(recorded.get("steps") == steps and done < steps)
+    return bool(steps_before == steps and done < steps)
 
 
-def _summary(folder: Path, trainer: Trainer, result: Evaluation) -> Table:
+def _summary(run: RunResult, result: Evaluation) -> Table:
     shown = Table(title="demo", title_style="bold", show_header=False)
-    minutes, seconds = divmod(round(trainer.seconds), 60)
+    minutes, seconds = divmod(round(run.seconds), 60)
     held = result.success["success_held"]
     shown.add_row(
-        "trained", f"{trainer.env_steps:,} steps in {minutes}:{seconds:02} min"
+        "trained", f"{run.env_steps:,} steps in {minutes}:{seconds:02} min"
     )
     shown.add_row(
         "held success in stock robosuite",
@@ -101,7 +102,7 @@ def _summary(folder: Path, trainer: Trainer, result: Evaluation) -> Table:
         f"({held.low:.1%} - {held.high:.1%})",
     )
     for name, what in _PARTS.items():
-        shown.add_row(what, str(folder / name))
+        shown.add_row(what, str(run.folder / name))
     return shown
 
 

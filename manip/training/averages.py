@@ -28,7 +28,7 @@ class TrainingAverages:
         self.terms: deque[list[float]] = deque(maxlen=RECENT_ROLLOUTS)
 
     def add(self, episodes: Sequence[Episode], terms: list[float]) -> None:
-        """Add a rollout: its finished episodes, and the mean of each raw reward term."""
+        """Add a rollout: finished episodes, and the mean of each raw reward term."""
         self.episodes.extend(episodes)
         self.terms.append(terms)
 

@@ -62,7 +62,9 @@ class Checkpoints:
                     warnings.warn(
                         f"{error}; trying the checkpoint before", stacklevel=2
                     )
-        raise damaged or UserError(f"nothing to resume: there is no checkpoint in {self.latest.parent}")
+        raise damaged or UserError(
+            f"nothing to resume: there is no checkpoint in {self.latest.parent}"
+        )
 
     def _checked(self, path: Path, state: Any) -> dict[str, Any]:
         version = state.get("format") if isinstance(state, dict) else None

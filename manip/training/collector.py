@@ -53,14 +53,14 @@ class Rollout:
             step, self.state = self._env.step_and_maybe_reset(policy(self.state))
             episodes += self.tracker.update(step["next"])
             steps.append(step)
-        batch = torch.stack(steps, 1)
+        batch: TensorDictBase = torch.stack(steps, 1)
         terms = batch["next", "reward_terms"].mean((0, 1)).tolist()
         return Experience(batch, batch.numel(), episodes, terms)
 
     def example(self, policy: TensorDictModuleBase, length: int) -> Experience:
         """An experience of zeros with the keys, shapes and dtypes of `collect`'s."""
         step = policy(self._env.fake_tensordict())
-        batch = torch.stack([step] * length, 1)
+        batch: TensorDictBase = torch.stack([step] * length, 1)
         terms = [0.0] * batch["next", "reward_terms"].shape[-1]
         return Experience(batch, batch.numel(), [], terms)
 

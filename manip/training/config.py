@@ -93,7 +93,7 @@ class TrainConfig:
     reward: Literal["shaped", "stock"] = "shaped"
     """Reward set: ours, or robosuite's own shaped reward."""
     reward_weights: tuple[str, ...] = ()
-    """Weights that replace those of the reward set's terms, as in `lift=0.6 reach=0.1`."""
+    """Weights that replace the reward set's own, as in `lift=0.6 reach=0.1`."""
     restart_fraction: float = 0.0
     """Share of the training episodes that begin where an earlier one has been."""
     cool_down: float = 0.0

@@ -27,11 +27,14 @@ def locked(folder: Path) -> Iterator[None]:
     The operating system releases the lock when the process ends, however it ends.
 
     Raises:
-        UserError: another process trains in the folder.
+        UserError: another process trains in the folder, or the lock is a link.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    handle = os.open(folder / "run.lock", _NO_LINKS, 0o644)
+    path = folder / "run.lock"
+    handle = os.open(path, _NO_LINKS, 0o644)
     with os.fdopen(handle, "r+", encoding="utf-8", errors="replace") as file:
+        if os.fstat(handle).st_nlink > 1:
+            raise UserError(f"{path} is a hard link to another file: remove it")
         _lock(file, folder)
         file.seek(0)
         file.truncate()

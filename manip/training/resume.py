@@ -28,9 +28,7 @@ def checkpoint_of(
     }
 
 
-def resume(
-    config: TrainConfig, parts: RunParts, checkpoints: Checkpoints
-) -> RunState:
+def resume(config: TrainConfig, parts: RunParts, checkpoints: Checkpoints) -> RunState:
     """Restore the newest checkpoint into the parts of a run just built.
 
     Raises:

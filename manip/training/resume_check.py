@@ -1,4 +1,4 @@
-"""Check a checkpoint against the run that is to go on from it, before it is restored."""
+"""Check that a checkpoint fits a run, before it is restored."""
 
 from dataclasses import replace
 from typing import Any

@@ -81,8 +81,8 @@ def _names(folder: Path) -> list[str]:
 def check_links(folder: Path) -> None:
     """Check that nothing in a run's folder is a link, through which a run would write.
 
-    Files with two names (hard links) are safe but for `run.lock`: all others are
-    replaced as a whole, and never changed in place.
+    Files with two names (hard links) are safe: they are replaced as a whole, never
+    changed in place, and `manip.training.lifecycle.locked` refuses such a lock.
 
     Raises:
         UserError: there is a link.
@@ -93,9 +93,6 @@ def check_links(folder: Path) -> None:
                 f"{path} is a link to {os.readlink(path)}: a run folder must not hold "
                 "links; remove it"
             )
-    lock = folder / "run.lock"
-    if lock.exists() and lock.stat().st_nlink > 1:
-        raise UserError(f"{lock} is a hard link to another file: remove it")
 
 
 def _entries(folder: Path) -> Iterator[Path]:

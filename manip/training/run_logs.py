@@ -91,9 +91,12 @@ def _wandb_login() -> bool:
         return True
     url = os.environ.get("WANDB_BASE_URL", "https://api.wandb.ai")
     try:
-        return netrc.netrc(os.environ.get("NETRC")).authenticators(
-            urlsplit(url).hostname or ""
-        ) is not None
+        return (
+            netrc.netrc(os.environ.get("NETRC")).authenticators(
+                urlsplit(url).hostname or ""
+            )
+            is not None
+        )
     except (OSError, netrc.NetrcParseError):
         return False
 

@@ -96,5 +96,3 @@ def _check_rows(state: RunState) -> None:
 def _require(holds: bool, message: str) -> None:
     if not holds:
         raise UserError(message)
-
-

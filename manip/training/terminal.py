@@ -1,6 +1,5 @@
 """A live line on a terminal, plain lines in a log: the reports of a run on stderr."""
 
-import os
 import sys
 from collections.abc import Callable
 from types import TracebackType
@@ -18,6 +17,13 @@ from rich.progress import (
 from manip.training.progress import Progress as RunProgress
 
 
+class _Console(Console):
+    """A console whose reader may go away: rich would end the process then."""
+
+    def on_broken_pipe(self) -> None:
+        self.quiet = True
+
+
 class TerminalProgress:
     """A training callback that shows steps, speed, success, milestones and time left.
 
@@ -26,7 +32,7 @@ class TerminalProgress:
     """
 
     def __init__(self) -> None:
-        self._console = Console(file=sys.stderr or open(os.devnull, "w"))
+        self._console = _Console(file=sys.stderr, quiet=sys.stderr is None)
         self._bar = Progress(
             TextColumn("training"),
             BarColumn(bar_width=24),
@@ -78,7 +84,7 @@ class TerminalProgress:
         try:
             write()
         except (OSError, UnicodeError, ValueError):  # ValueError: a closed file
-            self._console.file = open(os.devnull, "w")
+            self._console.quiet = True
 
 
 def _line(progress: RunProgress) -> str:
