@@ -7,7 +7,6 @@ import torch
 
 from manip.agents.agent import Agent
 from manip.envs.adapters.torchrl import TaskEnv
-from manip.errors import UserError
 from manip.training.agent_state import state_of, unfit
 from manip.training.build import build_agent
 from manip.training.collector import Collector, plain
@@ -48,13 +47,11 @@ class ResumeCheck:
         try:
             check_keys({k: v for k, v in state.items() if k in new}, new, "checkpoint")
             check_like(state["modules"], new["modules"], "modules")
-            check_finite(state["modules"], "modules")
+            check_finite(state["modules"], new["modules"], "modules")
             check_like(state["torch_rng"], new["torch_rng"], "torch_rng")
             self._check_optimisers(state["optimisers"])
             self._check_agent(state["agent"], new["agent"])
             self._check_collector(state["collector"], new["collector"])
-        except UserError:
-            raise
         except Exception as error:  # odd values may lead to any
             raise unfit(error) from error
 

@@ -86,16 +86,16 @@ def check_rows(value: Any, expected: Any, name: str) -> int:
     return len(value)
 
 
-def check_finite(tree: Any, name: str) -> None:
-    """Check that all floating-point tensors of a tree are finite.
+def check_finite(tree: Any, expected: Any, name: str) -> None:
+    """Check that all tensors of a tree are finite, where the expected ones are.
 
     Raises:
         ValueError: one is not.
     """
-    if isinstance(tree, Mapping):
-        for key, child in tree.items():
-            check_finite(child, f"{name}/{key}")
-    elif isinstance(tree, Tensor):
+    if isinstance(expected, Mapping):
+        for key, child in expected.items():
+            check_finite(tree[key], child, f"{name}/{key}")
+    elif bool(expected.isfinite().all()):
         _require(bool(tree.isfinite().all()), name, "is not finite")
 
 
