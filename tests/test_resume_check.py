@@ -124,10 +124,14 @@ COMMON = {
 
 REPLAY = {
     "buffer wider": at("agent/buffer", lambda b: change_first(b, wider)),
-    "buffer of doubles": at("agent/buffer", lambda b: change_first(b, torch.Tensor.double)),
+    "buffer of doubles": at(
+        "agent/buffer", lambda b: change_first(b, torch.Tensor.double)
+    ),
     "buffer flat": at("agent/buffer", lambda b: change_first(b, torch.Tensor.flatten)),
     "buffer text": at("agent/buffer", set_to("a")),
-    "buffer too long": at("agent/buffer", lambda b: every(b, lambda t: torch.cat([t, t]))),
+    "buffer too long": at(
+        "agent/buffer", lambda b: every(b, lambda t: torch.cat([t, t]))
+    ),
     "cursor outside": at("agent/cursor", set_to(10**9)),
     "cursor negative": at("agent/cursor", set_to(-1)),
     "cursor text": at("agent/cursor", set_to("a")),

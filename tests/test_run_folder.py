@@ -81,7 +81,12 @@ def test_nothing_is_written_through_a_link(
 ) -> None:
     other = tmp_path / "other"
     other.mkdir()
-    for inside in ("file", "events.out.tfevents.1", ".a.partial-b", "latest.safetensors"):
+    for inside in (
+        "file",
+        "events.out.tfevents.1",
+        ".a.partial-b",
+        "latest.safetensors",
+    ):
         (other / inside).write_text("precious")
     config = tiny("ppo", tmp_path / "run", resume=resume)
     if resume:
@@ -92,7 +97,9 @@ def test_nothing_is_written_through_a_link(
         link.rename(tmp_path / "away")
     LINKS[name](link, other)
     before = contents(other)
-    with pytest.raises(UserError, match=rf"{name} is a link to .*other.*: .* remove it"):
+    with pytest.raises(
+        UserError, match=rf"{name} is a link to .*other.*: .* remove it"
+    ):
         new_trainer(config).run()
     assert contents(other) == before
 
@@ -134,7 +141,11 @@ def test_a_lock_that_is_a_link_is_not_followed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("out", "message"),
-    [("file", "is not a folder"), ("file/run", "file is not a folder"), ("x" * 300, "no path")],
+    [
+        ("file", "is not a folder"),
+        ("file/run", "file is not a folder"),
+        ("x" * 300, "no path"),
+    ],
 )
 def test_a_folder_that_cannot_be_made_is_refused_before_any_work(
     out: str, message: str, tmp_path: Path

@@ -12,8 +12,8 @@ from manip.errors import UserError
 _PARTIAL = ".partial-"
 """In the name of every temporary file."""
 
-_OPEN_STREAMS = ("/dev/fd", "/proc")
-"""Where the system names open files: /dev/stdout is a link to /proc/self/fd/1."""
+_OPEN_FILES = (Path("/dev/fd"), Path("/proc/self/fd"))
+"""Where a process finds its open files: /dev/stdout is a link to /proc/self/fd/1."""
 
 
 def replace_file(path: Path, write: Callable[[Path], object]) -> None:
@@ -80,26 +80,33 @@ def _is_stream(path: Path) -> bool:
     if stat.S_ISBLK(mode) or stat.S_ISSOCK(mode):
         kind = "disk" if stat.S_ISBLK(mode) else "socket"
         raise UserError(f"cannot write {path}: it is a {kind}, not a file")
-    return not stat.S_ISREG(mode) or _names_a_stream(path)
+    return not stat.S_ISREG(mode) or _descriptor(path) is not None
 
 
-def _names_a_stream(path: Path) -> bool:
-    """Whether a path, or a link on the way to its file, names an open file."""
+def _descriptor(path: Path) -> int | None:
+    """Number of the open file that a path names, itself or by a link, if any."""
     place = path.absolute()
-    while not any(map(place.is_relative_to, _OPEN_STREAMS)):
+    while place.parent not in _OPEN_FILES or not place.name.isdigit():
         if not place.is_symlink():
-            return False
+            return None
         place = Path(os.path.normpath(place.parent / place.readlink()))
-    return True
+    return int(place.name)
 
 
 def _write_through(path: Path, write: Callable[[Path], object]) -> None:
     with tempfile.TemporaryDirectory(prefix="manip-") as folder:
         temporary = Path(folder) / f"output{path.suffix}"
         write(temporary)
-        stream = os.open(path, os.O_WRONLY | os.O_APPEND)
-        with temporary.open("rb") as source, os.fdopen(stream, "wb") as file:
-            shutil.copyfileobj(source, file)
+        with temporary.open("rb") as source, os.fdopen(_open(path), "wb") as stream:
+            shutil.copyfileobj(source, stream)
+
+
+def _open(path: Path) -> int:
+    """Open a stream; an open file is shared, as what follows goes to its end."""
+    descriptor = _descriptor(path)
+    if descriptor is None:
+        return os.open(path, os.O_WRONLY)
+    return os.dup(descriptor)
 
 
 def _temporary(path: Path) -> Path:
