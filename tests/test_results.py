@@ -19,7 +19,7 @@ from manip.programs import ship_policy as shipping
 from manip.programs.results import with_table
 from manip.robot_config import ROBOTS
 from manip.training.config import recipe_names, recipes
-from manip.training.trainer import begin_or_resume
+from manip.training.run import train_or_resume
 
 README = (Path(__file__).parents[1] / "README.md").read_text()
 
@@ -235,6 +235,6 @@ def test_reproduce_refuses_before_it_trains(tiny, options, message, capsys) -> N
 def test_a_run_with_other_options_is_not_taken_up(tiny: Path, tmp_path: Path) -> None:
     (config,) = reproduce.recipes().values()
     folder = tmp_path / "run"
-    begin_or_resume(replace(config, out=folder)).run()
+    train_or_resume(replace(config, out=folder))
     with pytest.raises(UserError, match="cannot go on with other options"):
-        begin_or_resume(replace(config, out=folder, seed=1)).run()
+        train_or_resume(replace(config, out=folder, seed=1))

@@ -79,10 +79,9 @@ def make_env(settings: EpisodeSettings, num_envs: int = 1) -> TaskEnv:
     Raises:
         UserError: the environment lacks a part of the observation.
     """
-    native = settings.backend == "native"
-    options: dict[str, Any] = (
-        {"fidelity": settings.fidelity} if native else {"hard_reset": True}
-    )
+    options: dict[str, Any] = {"hard_reset": True}
+    if settings.backend == "native":
+        options = {"fidelity": settings.fidelity}
     batch = make_batch(
         settings.task,
         num_envs,
@@ -90,7 +89,7 @@ def make_env(settings: EpisodeSettings, num_envs: int = 1) -> TaskEnv:
         robot=settings.robot,
         seed=settings.seed,
         purpose=settings.purpose,
-        **(fidelity if native else hard_reset),
+        **options,
     )
     if settings.observation is not None:
         check_observation(settings.observation, batch)

@@ -15,6 +15,7 @@ from manip.evaluation.statistics import (
     wilson_rate,
 )
 from manip.io.atomic_files import write_text
+from manip.io.yaml_files import read_yaml
 
 RESULTS = Path(str(files("manip.assets"))) / "results.yaml"
 
@@ -137,10 +138,10 @@ def load_results(path: Path = RESULTS) -> Results:
         UserError: the file is damaged.
     """
     try:
-        plain = yaml.safe_load(path.read_text())
+        plain = read_yaml(path)
         results = tuple(map(_result, plain["results"]))
         return Results(plain["robosuite_benchmark"], results)
-    except (yaml.YAMLError, KeyError, TypeError) as error:
+    except (KeyError, TypeError) as error:
         raise UserError(f"{path} is damaged: {one_line(error)}") from error
 
 

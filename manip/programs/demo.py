@@ -19,9 +19,10 @@ from manip.programs.demo_folder import FILES, is_unfinished, remove_finished
 from manip.programs.evaluate import MOST_EPISODES, Evaluate, evaluate
 from manip.programs.output import console
 from manip.programs.render import Render, film
-from manip.training.config import recipe
+from manip.training.config import TrainConfig, recipe
+from manip.training.run import RunResult, train
 from manip.training.run_logs import read_metrics
-from manip.training.trainer import Trainer
+from manip.training.terminal import TerminalProgress
 
 STOPPED = 3
 """Exit code: interrupted and saved."""
@@ -48,8 +49,9 @@ def main(arguments: Sequence[str]) -> int:
     _check(options)
     torch.set_num_threads(1)
     _print_step("1/3  train: Lift, Panda, SAC")
-    trainer = _trainer(options)
-    if not trainer.run():
+    with TerminalProgress() as progress:
+        run = train(_config(options), callback=progress)
+    if not run.finished:
         return STOPPED
     _print_step(f"2/3  evaluate: {options.episodes} episodes in stock robosuite")
     result = evaluate(Evaluate(options.out, "stock", options.episodes))
@@ -58,7 +60,7 @@ def main(arguments: Sequence[str]) -> int:
     film(Render(options.out, options.out / "video.mp4", steps=60))
     _plot(options)
     console().print(table(result))
-    console().print(_summary(options.out, trainer, result))
+    console().print(_summary(run, result))
     return 0
 
 
@@ -72,12 +74,12 @@ def _print_step(title: str) -> None:
     console().print(title, style="bold", highlight=False)
 
 
-def _trainer(options: Demo) -> Trainer:
+def _config(options: Demo) -> TrainConfig:
     config = replace(recipe("Lift", "sac"), seed=options.seed, out=options.out)
     if is_unfinished(options.out, config.steps):
-        return Trainer(replace(config, resume=True))
+        return replace(config, resume=True)
     remove_finished(options.out)
-    return Trainer(config)
+    return config
 
 
 def _plot(options: Demo) -> None:
@@ -86,18 +88,18 @@ def _plot(options: Demo) -> None:
     plot_learning_curve(rows, title, options.out / "learning_curve.png")
 
 
-def _summary(folder: Path, trainer: Trainer, result: Evaluation) -> Table:
-    minutes, seconds = divmod(round(trainer.seconds), 60)
+def _summary(run: RunResult, result: Evaluation) -> Table:
+    minutes, seconds = divmod(round(run.seconds), 60)
     held = result.success["success_held"]
     rows = {
-        "trained": f"{trainer.env_steps:,} steps in {minutes}:{seconds:02} min",
+        "trained": f"{run.env_steps:,} steps in {minutes}:{seconds:02} min",
         "success_held in stock robosuite": (
             f"{held.rate:.1%} of {result.episodes} episodes "
             f"({held.low:.1%} - {held.high:.1%})"
         ),
         "training seeds": "1: the interval covers episodes only",
     }
-    rows |= {what: str(folder / name) for name, what in FILES.items()}
+    rows |= {what: str(run.folder / name) for name, what in FILES.items()}
     summary = Table(title="demo", title_style="bold", show_header=False)
     for name, text in rows.items():
         summary.add_row(name, Text(printable(text), overflow="fold"))

@@ -34,7 +34,8 @@ from manip.programs.ship_policy import ship_policy
 from manip.robot_config import ROBOTS
 from manip.training.build import imitates
 from manip.training.config import TrainConfig, recipes
-from manip.training.trainer import begin_or_resume
+from manip.training.run import RunResult, train_or_resume
+from manip.training.terminal import TerminalProgress
 from manip.versions import versions
 
 STOPPED = 3
@@ -151,27 +152,25 @@ def _runs(config: TrainConfig, options: Reproduce) -> Iterator[Run]:
     for seed in range(options.seeds):
         name = run_name(_key(config), seed)
         console().print(name, style="bold")
-        folder = options.out / name
-        trainer = begin_or_resume(replace(config, seed=seed, out=folder))
-        if not trainer.run():
+        seeded = replace(config, seed=seed, out=options.out / name)
+        with TerminalProgress() as progress:
+            trained = train_or_resume(seeded, callback=progress)
+        if not trained.finished:
             return
-        minutes = round(trainer.seconds / 60, 1)
-        run = _evaluated(folder, seed, options.episodes, trainer.env_steps, minutes)
+        run = _evaluated(trained, seed, options.episodes)
         console().print(f"{name}: success_held {percent(run.rate)} %", highlight=False)
         yield run
 
 
-def _evaluated(
-    folder: Path, seed: int, episodes: int, env_steps: int, minutes: float
-) -> Run:
-    result = evaluate(Evaluate(folder, "stock", episodes))
+def _evaluated(trained: RunResult, seed: int, episodes: int) -> Run:
+    result = evaluate(Evaluate(trained.folder, "stock", episodes))
     return Run(
         seed=seed,
         success_held=round(result.success["success_held"].rate * episodes),
         episodes=episodes,
-        env_steps=env_steps,
-        minutes=minutes,
-        choice_rate=choice_rate(folder),
+        env_steps=trained.env_steps,
+        minutes=round(trained.seconds / 60, 1),
+        choice_rate=choice_rate(trained.folder),
     )
 
 

@@ -25,6 +25,7 @@ from manip.envs.make_batch import make_batch
 from manip.envs.task_registry import load_task
 from manip.errors import UserError
 from manip.training.config import TrainConfig
+from manip.training.reward_weights import parse_weights
 from manip.versions import versions
 
 AGENTS: dict[type, Any] = {
@@ -75,9 +76,11 @@ def imitates(config: TrainConfig) -> bool:
 
 
 def _training_env(config: TrainConfig, worker: int, workers: int) -> TaskEnv:
+    weights = parse_weights(config.reward_weights)
     env = _env(
         config,
         config.num_envs // workers,
+        **({"reward_weights": weights} if weights else {}),
         expert=imitates(config),
         fidelity=config.fidelity,
         threads=max(1, share_threads(config)[0] // workers),

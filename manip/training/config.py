@@ -7,8 +7,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
 
-import yaml
-
 from manip.agents.a2c import A2CConfig
 from manip.agents.a3c import A3CConfig
 from manip.agents.bc import BCConfig
@@ -20,11 +18,13 @@ from manip.agents.sac import SACConfig
 from manip.agents.td3 import TD3Config
 from manip.agents.trpo import TRPOConfig
 from manip.envs.task_registry import task_names
-from manip.errors import UserError, one_line, unknown
+from manip.errors import UserError, unknown
 from manip.io.dataclass_values import build
+from manip.io.yaml_files import read_yaml
 from manip.robot_config import RobotConfig
 from manip.sim.scene import Fidelity
 from manip.training.option_ranges import check_options
+from manip.training.reward_weights import parse_weights
 
 AgentConfig = (
     ReinforceConfig
@@ -92,6 +92,8 @@ class TrainConfig:
     """Physics while training; evaluation is always exact."""
     reward: Literal["shaped", "stock"] = "shaped"
     """Reward set: ours, or robosuite's own shaped reward."""
+    reward_weights: tuple[str, ...] = ()
+    """Weights that replace the reward set's own, as in `lift=0.6 reach=0.1`."""
     restart_fraction: float = 0.0
     """Share of the training episodes that begin where an earlier one has been."""
     cool_down: float = 0.0
@@ -117,6 +119,7 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         check_options(self)
+        parse_weights(self.reward_weights)
         check_options(self.agent)
 
     @property
@@ -170,17 +173,17 @@ def recipe(task: str, algo: str, robot: str | None = None) -> TrainConfig:
 @cache
 def _shipped(name: str) -> dict[str, Any]:
     path = files("manip.assets") / "recipes" / f"{name}.yaml"
-    return yaml.safe_load(path.read_text()) if path.is_file() else {}
+    return read_yaml(Path(str(path))) if path.is_file() else {}
 
 
 def to_dict(config: TrainConfig) -> dict[str, Any]:
     """Plain values, fit for YAML."""
     plain = dataclasses.asdict(config) | {"out": str(config.folder)}
-    plain["agent"] = {
-        key: list(value) if isinstance(value, tuple) else value
-        for key, value in plain["agent"].items()
-    }
-    return plain
+    return _with_lists(plain) | {"agent": _with_lists(plain["agent"])}
+
+
+def _with_lists(values: dict[str, Any]) -> dict[str, Any]:
+    return {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
 
 
 def lasting(config: TrainConfig) -> dict[str, Any]:
@@ -231,10 +234,7 @@ def recorded(folder: Path) -> TrainConfig:
         OSError: there is none.
     """
     path = folder / "config.yaml"
-    try:
-        values = yaml.safe_load(path.read_text())
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise UserError(f"{path} is damaged: {one_line(error)}") from error
+    values = read_yaml(path)
     if not isinstance(values, dict):
         raise UserError(f"{path} is damaged: it holds no options")
     values.pop("versions", None)
