@@ -185,15 +185,13 @@ words = st.sampled_from(
 command_lines = st.lists(flags | words | st.text(max_size=5), max_size=6)
 
 
-class Unwilling:
-    """A trainer that never trains."""
-
-    def __init__(self, config: TrainConfig) -> None:
-        raise UserError(f"not today: {config.steps}")
+def unwilling(config: TrainConfig, **_: Any) -> None:
+    """Train never."""
+    raise UserError(f"not today: {config.steps}")
 
 
 def assert_answered_in_a_line(program: str, line: list[str], patch, capfd) -> None:
-    patch.setattr(train, "Trainer", Unwilling)
+    patch.setattr(train, "train", unwilling)
     capfd.readouterr()
     code = cli.run(PROGRAMS[program].main, line)
     said = capfd.readouterr().err

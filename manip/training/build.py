@@ -11,11 +11,12 @@ from manip.agents.ppo_kl import PPOKLConfig
 from manip.agents.registry import load_algorithm
 from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
-from manip.envs.backends.external_batch import ExternalTask
+from manip.envs.external_task import ExternalTask
 from manip.envs.make_batch import make_batch
 from manip.envs.task_registry import load_task
 from manip.errors import UserError
 from manip.training.config import SCALE, TrainConfig
+from manip.training.reward_weights import parse_weights
 from manip.versions import versions
 
 EVAL_SEED = 1_000_000
@@ -62,9 +63,11 @@ def imitates(config: TrainConfig) -> bool:
 
 
 def _training_env(config: TrainConfig, worker: int, workers: int) -> TaskEnv:
+    weights = parse_weights(config.reward_weights)
     env = _env(
         config,
         config.num_envs // workers,
+        **({"reward_weights": weights} if weights else {}),
         expert=imitates(config),
         fidelity=config.fidelity,
         threads=max(1, share_threads(config)[0] // workers),

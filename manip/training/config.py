@@ -7,16 +7,16 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
-
 from manip.agents.agent import AgentConfig
 from manip.agents.registry import check_algorithm_origin, load_algorithm
 from manip.envs.task_registry import task_names
-from manip.errors import UserError, one_line, shown
+from manip.errors import UserError, shown
 from manip.io.dataclass_values import build
 from manip.io.option_ranges import COUNT, NUMBER, SHARE, Range, check_options
+from manip.io.yaml_files import read_yaml
 from manip.robot_config import RobotConfig
 from manip.sim.scene import Fidelity
+from manip.training.reward_weights import parse_weights
 
 Controller = Literal["OSC_POSE", "OSC_POSITION", "JOINT_POSITION", "JOINT_VELOCITY"]
 
@@ -64,6 +64,8 @@ class TrainConfig:
     """Physics of training; evaluation always uses exact physics."""
     reward: Literal["shaped", "stock"] = "shaped"
     """Reward set: manip's own, or robosuite's shaped reward."""
+    reward_weights: tuple[str, ...] = ()
+    """Weights that replace the reward set's own, as in `lift=0.6 reach=0.1`."""
     restart_fraction: Annotated[float, SHARE] = 0.0
     """Fraction of training episodes that start from a previously visited state."""
     cool_down: Annotated[float, SHARE] = 0.0
@@ -93,6 +95,7 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         check_options(self)
+        parse_weights(self.reward_weights)
         check_options(self.agent)
         expected = load_algorithm(self.algo).Config
         if type(self.agent) is not expected:
@@ -167,17 +170,17 @@ def scales_other_actions(task: str, algo: str, controller: str | None) -> bool:
 @cache
 def _shipped(name: str) -> dict[str, Any]:
     path = files("manip.assets") / "recipes" / f"{name}.yaml"
-    return yaml.safe_load(path.read_text()) if path.is_file() else {}
+    return read_yaml(Path(str(path))) if path.is_file() else {}
 
 
 def to_dict(config: TrainConfig) -> dict[str, Any]:
     """Return the options as plain values, fit for YAML."""
     plain = dataclasses.asdict(config) | {"out": str(config.folder)}
-    plain["agent"] = {
-        key: list(value) if isinstance(value, tuple) else value
-        for key, value in plain["agent"].items()
-    }
-    return plain
+    return _with_lists(plain) | {"agent": _with_lists(plain["agent"])}
+
+
+def _with_lists(values: dict[str, Any]) -> dict[str, Any]:
+    return {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
 
 
 def lasting(config: TrainConfig) -> dict[str, Any]:
@@ -235,10 +238,7 @@ def recorded(folder: Path) -> TrainConfig:
         OSError: there is none.
     """
     path = folder / "config.yaml"
-    try:
-        values = yaml.safe_load(path.read_text())
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise UserError(f"{path} is damaged: {one_line(error)}") from error
+    values = read_yaml(path)
     if not isinstance(values, dict):
         raise UserError(f"{path} is damaged: it holds no options")
     values.pop("versions", None)
