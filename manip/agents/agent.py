@@ -28,6 +28,8 @@ class Agent(ABC):
         rollout_length: control steps T of every world between two updates.
         off_policy: learns from what older policies collected, too.
         imitates: asks the worlds what the task's script would do (`script` [N, A]).
+        has_native_gradients: takes the keyword `gradients`, "native" or "torchrl";
+            other algorithms always learn through TorchRL's losses and autograd.
         workers: rollouts that are under way side by side, in worlds of their own.
     """
 
@@ -35,6 +37,7 @@ class Agent(ABC):
     rollout_length: int
     off_policy: bool = False
     imitates: bool = False
+    has_native_gradients: bool = False
     workers: int = 1
 
     @abstractmethod

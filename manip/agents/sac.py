@@ -23,6 +23,7 @@ from torchrl.objectives import SACLoss
 
 from manip.agents.agent import Spaces
 from manip.agents.flat_parameters import flatten
+from manip.agents.native.gradient_check import GradientSource
 from manip.agents.native.sac_gradients import flatten_loss, sac_gradients
 from manip.agents.networks import Actor
 from manip.agents.off_policy import (
@@ -54,11 +55,23 @@ class SACConfig(OffPolicyConfig):
 
 
 class SAC(OffPolicy):
-    """SAC on TorchRL; see the module's docstring."""
+    """SAC on TorchRL; see the module's docstring.
+
+    Args:
+        gradients: native code, checked against SACLoss, or SACLoss and autograd.
+    """
+
+    has_native_gradients = True
 
     actor: Actor
 
-    def __init__(self, config: SACConfig, spaces: Spaces, threads: int = 1) -> None:
+    def __init__(
+        self,
+        config: SACConfig,
+        spaces: Spaces,
+        threads: int = 1,
+        gradients: GradientSource = "native",
+    ) -> None:
         super().__init__(config)
         self.config = config
         self.explorer = Actor(
@@ -80,6 +93,7 @@ class SAC(OffPolicy):
             config.gamma,
             config.batch_size,
             threads,
+            gradients,
         )
         rate = config.learning_rate
         self._critic_optim = Adam([self._params.critics], rate, fused=True)

@@ -118,7 +118,10 @@ def build_agent(config: TrainConfig, env: TaskEnv) -> Agent:
         options = replace(options, action_scale=())
     if isinstance(options, PPOKLConfig) and options.reference is not None:
         _check_reference(options.reference, config, env)
-    agent: Agent = AGENTS[type(options)](options, spaces, share_threads(config)[1])
+    algorithm = AGENTS[type(options)]
+    native = algorithm.has_native_gradients
+    source = {"gradients": config.gradients} if native else {}
+    agent: Agent = algorithm(options, spaces, share_threads(config)[1], **source)
     return agent
 
 

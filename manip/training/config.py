@@ -98,6 +98,10 @@ class TrainConfig:
     """Last share of the steps, in which learning rates fall linearly to zero."""
     threads: int | None = None
     """Threads of physics and learner; the CPUs this process may use unless given."""
+    gradients: Literal["native", "torchrl"] = "native"
+    """Gradients of SAC and PPO: compiled code that is compared with TorchRL's losses at
+    the start and now and then (native), or those losses with autograd (torchrl). All
+    other algorithms always learn through TorchRL's losses."""
     overlap: bool = True
     """Simulate and learn at the same time where the algorithm allows (SAC)."""
     eval_every: int = 10_000
