@@ -44,12 +44,15 @@ class Agent(ABC):
         off_policy: may learn from rollouts of older policies: the next rollout can be
             collected while this one is learned from.
         imitates: needs the task expert's action, `expert_action` [N, A], in each step.
+        has_native_gradients: its constructor takes the keyword `gradients`, "native" or
+            "torchrl"; others always learn through TorchRL's losses and autograd.
     """
 
     name: ClassVar[str]
     Config: ClassVar[type[AgentConfig]]
     off_policy: ClassVar[bool] = False
     imitates: ClassVar[bool] = False
+    has_native_gradients: ClassVar[bool] = False
 
     actor: Actor | BinnedActor
     rollout_length: int

@@ -20,7 +20,13 @@ from torchrl.objectives import ClipPPOLoss, PPOLoss
 from torchrl.objectives.value import GAE
 
 from manip.agents.agent import Spaces
-from manip.agents.native.ppo_gradients import Told, gradients_of, rows_of
+from manip.agents.native.gradient_check import GradientSource
+from manip.agents.native.ppo_gradients import (
+    MinibatchStats,
+    gradients_of,
+    kl_divergence,
+    rows_of,
+)
 from manip.agents.on_policy import OnPolicy, OnPolicyConfig, minibatches
 from manip.io.option_ranges import COUNT, NUMBER, POSITIVE, SHARE
 
@@ -44,17 +50,28 @@ class PPOConfig(OnPolicyConfig):
 
 
 class PPO(OnPolicy):
-    """PPO; see the module's docstring."""
+    """PPO; see the module's docstring.
+
+    Args:
+        gradients: native code, checked against (Clip)PPOLoss, or this and autograd.
+    """
 
     name = "ppo"
     Config = PPOConfig
+    has_native_gradients = True
 
-    def __init__(self, config: PPOConfig, spaces: Spaces, threads: int = 1) -> None:
+    def __init__(
+        self,
+        config: PPOConfig,
+        spaces: Spaces,
+        threads: int = 1,
+        gradients: GradientSource = "native",
+    ) -> None:
         self.config = config
         super().__init__(config, spaces)
         self._gae = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None)
         self._gradients = gradients_of(
-            self._loss, self.actor, self.critic, self._params, threads
+            self._loss, self.actor, self.critic, self._params, threads, gradients
         )
 
     def _make_loss(self) -> PPOLoss:
@@ -74,16 +91,16 @@ class PPO(OnPolicy):
         """Take several epochs of minibatch steps on the rollout [N, T]."""
         rows, pieces = rows_of(self._gae(batch).reshape(-1)), self.config.minibatches
         for _ in range(self.config.epochs):
-            told = [self._improve(piece) for piece in minibatches(rows, pieces)]
-            if self._far([found.kl for found in told]):
+            stats = [self._improve(piece) for piece in minibatches(rows, pieces)]
+            if self._far([minibatch.kl for minibatch in stats]):
                 break
-        return told[-1]._asdict()
+        return stats[-1]._asdict() | {"kl": kl_divergence(self.actor, rows)}
 
     def _far(self, kl: list[float]) -> bool:
         limit = self.config.target_kl
         return limit is not None and sum(kl) / len(kl) > limit
 
-    def _improve(self, rows: Tensor) -> Told:
-        told = self._gradients(rows)
+    def _improve(self, rows: Tensor) -> MinibatchStats:
+        stats = self._gradients(rows)
         self._step()
-        return told
+        return stats

@@ -29,6 +29,7 @@ from torchrl.objectives import SACLoss
 from manip.agents.agent import Spaces
 from manip.agents.exploration import RolloutPolicy
 from manip.agents.flat_parameters import flatten
+from manip.agents.native.gradient_check import GradientSource
 from manip.agents.native.sac_gradients import flatten_loss, sac_gradients
 from manip.agents.networks import Actor
 from manip.agents.off_policy import OffPolicy, OffPolicyConfig, make_critics
@@ -56,13 +57,24 @@ class SACConfig(OffPolicyConfig):
 
 
 class SAC(OffPolicy):
-    """SAC; see the module's docstring."""
+    """SAC; see the module's docstring.
+
+    Args:
+        gradients: native code, checked against SACLoss, or SACLoss and autograd.
+    """
 
     name = "sac"
     Config = SACConfig
+    has_native_gradients = True
     actor: Actor
 
-    def __init__(self, config: SACConfig, spaces: Spaces, threads: int = 1) -> None:
+    def __init__(
+        self,
+        config: SACConfig,
+        spaces: Spaces,
+        threads: int = 1,
+        gradients: GradientSource = "native",
+    ) -> None:
         super().__init__(config, spaces)
         self.config = config
         self.explorer = Actor(
@@ -84,6 +96,7 @@ class SAC(OffPolicy):
             config.gamma,
             config.batch_size,
             threads,
+            gradients,
         )
         rate = config.learning_rate
         self._critic_optim = Adam([self._params.critics], rate, fused=True)

@@ -111,7 +111,9 @@ def build_agent(config: TrainConfig, env: TaskEnv) -> Agent:
     if isinstance(config.agent, PPOKLConfig) and config.agent.reference is not None:
         _check_reference(config.agent.reference, config, env)
     algorithm = load_algorithm(config.algo)
-    return algorithm(config.agent, spaces, share_threads(config)[1])
+    native = algorithm.has_native_gradients
+    source = {"gradients": config.gradients} if native else {}
+    return algorithm(config.agent, spaces, share_threads(config)[1], **source)
 
 
 def _check_scale(config: TrainConfig, action_dim: int) -> None:

@@ -75,6 +75,10 @@ class TrainConfig:
     again at the full learning rates."""
     threads: Annotated[int | None, COUNT] = None
     """Threads of physics and learner; the CPUs this process may use unless given."""
+    gradients: Literal["native", "torchrl"] = "native"
+    """Gradients of SAC and PPO: compiled code that is compared with TorchRL's losses at
+    the start and now and then (native), or those losses with autograd (torchrl). All
+    other algorithms always learn through TorchRL's losses."""
     overlap: bool = True
     """Simulate and learn at the same time (off-policy algorithms only)."""
     eval_every: Annotated[int, COUNT] = 10_000
