@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import sys
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
