@@ -20,13 +20,14 @@ import pytest
 import yaml
 
 from manip.agents.policy import WEIGHTS, load_policy
+from manip.agents.registry import algorithm_names
 from manip.envs.external_task import external_names
 from manip.envs.task_registry import task_names
 from manip.evaluation import runners as evaluation
 from manip.programs import cli, evaluate, main, render
 from manip.robot_config import CONTROLLERS, ROBOTS
 from manip.sim import gl
-from manip.training.config import ALGORITHMS, recipe_names
+from manip.training.config import recipe_names
 
 ROOT = Path(__file__).parents[1]
 
@@ -166,7 +167,7 @@ def test_list_names_everything_there_is(manip: Manip) -> None:
     assert found["tasks"] == task_names() != []
     assert found["external_tasks"] == external_names() != []
     assert found["robots"] == list(ROBOTS)
-    assert found["algorithms"] == list(ALGORITHMS)
+    assert found["algorithms"] == algorithm_names()
     assert found["action_spaces"] == list(CONTROLLERS)
     assert found["recipes"] == recipe_names() != []
     assert isinstance(found["policies"], list)
@@ -243,12 +244,15 @@ def refusal(found: Result) -> str:
             "learning_rate must be at least 0, not nan",
         ),
         ("train --agent.actor-hidden -3", "actor_hidden must be at least 1, not -3"),
-        ("train --num-envs 10000000000 --steps 1", "not enough memory"),
+        ("train --algo ppo --num-envs 10000000000 --steps 1", "not enough memory"),
         ("train --lr 3", "did you mean --agent.learning-rate?"),
         ("train --stepz 3", "Unrecognized options: --stepz.*--steps INT"),
         ("train --agent.gama 1", "Unrecognized options: --agent.gama.*--agent.gamma"),
         ("train --algo ppo --agent.tau 1", "Unrecognized options: --agent.tau, 1"),
-        ("train --agent.action-scale 1 1", "action_scale has 2 numbers, the action"),
+        (
+            "train --agent.action-scale 1 1",
+            "agent.action_scale has 2 numbers, but OSC_POSE",
+        ),
         ("train Reach", "Unrecognized options: Reach"),
         ("train --out", "Missing value for argument '--out'"),
         ("train --wandb mine", "--wandb needs a package that is not there"),

@@ -8,13 +8,14 @@ from rich.table import Table
 from rich.text import Text
 
 from manip.agents.policy import shipped_policies
+from manip.agents.registry import algorithm_names
 from manip.envs.external_task import external_names
 from manip.envs.task_registry import task_names
 from manip.io.printable import printable
 from manip.programs import cli
 from manip.programs.output import console
 from manip.robot_config import CONTROLLERS, ROBOTS
-from manip.training.config import ALGORITHMS, recipe_names
+from manip.training.config import recipe_names
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ def catalogue() -> dict[str, list[str]]:
         "tasks": task_names(),
         "external_tasks": external_names(),
         "robots": list(ROBOTS),
-        "algorithms": list(ALGORITHMS),
+        "algorithms": algorithm_names(),
         "action_spaces": list(CONTROLLERS),
         "recipes": recipe_names(),
         "policies": list(shipped_policies()),
