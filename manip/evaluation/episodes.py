@@ -86,7 +86,9 @@ class EpisodeTracker:
         """
         for counter, saved in zip(self._counters(), state["counters"], strict=True):
             if counter.shape != saved.shape:
-                raise ValueError(f"{len(saved)} environments are no {len(counter)}")
+                raise ValueError(
+                    f"saved of {len(saved)} environments, not {len(counter)}"
+                )
             counter.copy_(saved)
         self._milestones = torch.zeros(len(self._steps), 0, dtype=torch.bool)
         if state["milestones"] is not None:  # None: saved before the first step
