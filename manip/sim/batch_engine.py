@@ -62,6 +62,7 @@ class BatchEngine(NotCopied):
     Attributes:
         broken: [N] bool, environments that broke in the last step.
         broken_count: number of environments that have broken so far.
+        changes: number of calls so far that have changed a state.
     """
 
     def __init__(self, scene: Scene, num_envs: int, threads: int | None = None) -> None:
@@ -74,6 +75,7 @@ class BatchEngine(NotCopied):
         self.control_dt = scene.control_dt
         self.broken = np.zeros(num_envs, bool)
         self.broken_count = 0
+        self.changes = 0
         self._plan = _plan(scene)
         self._columns = state_columns(scene)
         self._default = default_row(scene)
@@ -121,6 +123,7 @@ class BatchEngine(NotCopied):
         with self._exclusive:
             self._team.run(work, self.num_envs)
             self._now, self._before = self._before, self._now
+            self.changes += 1
             self.broken_count += int(self.broken.sum())
         return self.broken
 
@@ -168,6 +171,7 @@ class BatchEngine(NotCopied):
     def write_memory(self, env_ids: Array, memory: Mapping[str, Array]) -> None:
         """As `Engine.write_memory`."""
         with self._exclusive:
+            self.changes += 1
             for name, values in memory.items():
                 check_choice("memory", name, self.scene.layout.memory)
                 columns = self._columns[name]
@@ -199,6 +203,7 @@ class BatchEngine(NotCopied):
     def restore(self, snapshot: Snapshot, env_ids: Array | slice = slice(None)) -> None:
         """As `Engine.restore`."""
         with self._exclusive:
+            self.changes += 1
             self._now.states[env_ids] = snapshot.states
             self._now.readings[env_ids] = snapshot.readings
 
@@ -224,6 +229,7 @@ class BatchEngine(NotCopied):
         copy.restore(self.save())
         copy._before.states[:], copy._before.readings[:] = self._before[:2]
         copy.broken[:], copy.broken_count = self.broken, self.broken_count
+        copy.changes = self.changes
         return copy
 
     def _new_buffer(self) -> _Buffer:
@@ -241,6 +247,7 @@ class BatchEngine(NotCopied):
     def _write(self, env_ids: Array, rows: Array) -> None:
         """Set state rows and refresh their readings."""
         with self._exclusive:
+            self.changes += 1
             self._now.states[env_ids] = rows
             self._refresh(env_ids)
 

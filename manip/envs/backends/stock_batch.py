@@ -1,12 +1,13 @@
 """StockBatch: one environment of a task, stepped by robosuite itself."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
+from manip.envs.episode_streams import check_seed, episode_seed
 from manip.envs.task import Measures, Task
-from manip.envs.task_batch import TaskBatch
+from manip.envs.task_batch import EpisodeOptions, TaskBatch
 from manip.robot_config import RobotConfig
 from manip.sim.exclusive_use import ExclusiveUse
 from manip.sim.not_copied import NotCopied
@@ -21,15 +22,16 @@ class StockBatch(NotCopied, TaskBatch):
     """One environment of a task, stepped by `robosuite.make(...)` itself.
 
     Unlike robosuite's GymWrapper it reports the time limit as `truncated`, reports
-    success, and a seed fixes the episodes (episode e starts from `seed + e`).
+    success, and a seed fixes the episodes (see `episode_seed`).
 
     Args:
         task: the task.
-        robot, horizon, reward, seed: as in `NativeBatch`.
+        robot: arm, controller and control frequency.
         hard_reset: rebuild the model at every reset, as robosuite does by default;
             what it samples when it builds (Lift's cube size) then varies.
         stock: a robosuite environment to step, instead of building one. It must be
             what `make_stock(task.robosuite_name, robot)` builds (see `check_stock`).
+        options: as in `TaskBatch`.
     """
 
     def __init__(
@@ -37,45 +39,45 @@ class StockBatch(NotCopied, TaskBatch):
         task: Task,
         *,
         robot: RobotConfig = PANDA,
-        horizon: int | None = None,
-        reward: str = "shaped",
-        seed: int = 0,
         hard_reset: bool = False,
         stock: Any = None,
+        **options: Unpack[EpisodeOptions],
     ) -> None:
         self.stock = stock or make_stock(
             task.robosuite_name,
             robot,
-            seed,
+            check_seed(options.get("seed", 0)),
             hard_reset=hard_reset,
         )
         if stock is not None:
-            check_stock(stock, task.robosuite_name, robot, horizon or task.horizon)
+            horizon = options.get("horizon") or task.horizon
+            check_stock(stock, task.robosuite_name, robot, horizon)
         self._reader = stock_reader(self.stock, task.sensors)
         self._memory = _blank(task)
         self._exclusive = ExclusiveUse("the robosuite environment")
         action_dim = self.stock.action_dim
-        super().__init__(task, 1, action_dim, horizon, reward, seed)
+        super().__init__(task, 1, action_dim, **options)
 
     def read(self) -> Measures:
         """As `manip.sim.stock_reader.stock_reader`."""
         with self._exclusive:
             return {**self._reader(), **self._memory}
 
-    def visual_model(self, world: int) -> Any:
+    def visual_model(self, env_id: int) -> Any:
         """The stock environment's own model."""
         return self.stock.sim.model._model
 
-    def _start_episodes(self, worlds: Array) -> None:
-        reseed(self.stock, self.seed + int(self.episode[0]))
+    def _start_episodes(self, env_ids: Array) -> None:
+        key = episode_seed(self.seed, self.purpose, 0, int(self.episode[0]))
+        reseed(self.stock, key)
         with self._exclusive:
             self.stock.reset()
         self._memory = _blank(self.task)
         if self.stock.hard_reset:
             self._reader = stock_reader(self.stock, self.task.sensors)
 
-    def _keep(self, worlds: Array, memory: Mapping[str, Array]) -> None:
-        if len(worlds):
+    def _keep(self, env_ids: Array, memory: Mapping[str, Array]) -> None:
+        if len(env_ids):
             self._memory = {**self._memory, **memory}
 
     def _move(self, action: Array) -> Array:
