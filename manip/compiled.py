@@ -34,6 +34,9 @@ if numba.config.DISABLE_JIT:
         "NUMBA_DISABLE_JIT is set, but the batch engine needs compiled code: unset it"
     )
 
+from numba.core.codegen import JITCodeLibrary  # noqa: E402
+from numba.core.compiler import Compiler  # noqa: E402
+
 _HERE = Path(__file__).parent
 
 
@@ -75,6 +78,10 @@ _OPTIONS: dict[str, Any] = {
     "error_model": "numpy",  # x / 0 is inf or nan, without a branch to raise from
     "no_cfunc_wrapper": True,
 }
+
+
+_WEAK = {"linkonce_any", "linkonce_odr", "weak_any", "weak_odr"}
+"""Linkages of functions that a loader binds to any function of equal name."""
 
 
 def jit(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -164,4 +171,37 @@ def _cache_in(folder: str) -> Iterator[None]:
 
 def _cached(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     with _cache_in(str(cache_folder())):
-        return numba.njit(function, cache=_CACHE, **options, **_OPTIONS)
+        return numba.njit(
+            function,
+            cache=_CACHE,
+            pipeline_class=_SelfContainedCompiler,
+            **options,
+            **_OPTIONS,
+        )
+
+
+class _SelfContainedLibrary(JITCodeLibrary):
+    """Compiled code that calls its own copies of the kernels that are linked into it.
+
+    numba leaves these copies weak: a call is bound to the first function of that name
+    in the process. That is the copy where the code comes from the cache, but the kernel
+    as compiled for itself in the process that fills the cache. LLVM optimises the two
+    differently, so that reordered sums differ in their last bits. Calls of internal
+    functions are bound within the library in every process.
+    """
+
+    def _optimize_final_module(self) -> None:
+        super()._optimize_final_module()
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage.name in _WEAK:
+                function.linkage = "internal"
+
+
+class _SelfContainedCompiler(Compiler):
+    """numba's compiler, writing to a `_SelfContainedLibrary`."""
+
+    def compile_extra(self, func: Callable[..., Any]) -> Any:
+        codegen = self.state.targetctx.codegen()
+        self.state.library = _SelfContainedLibrary(codegen, func.__qualname__)
+        self.state.library.enable_object_caching()
+        return super().compile_extra(func)

@@ -60,3 +60,11 @@ def check_choice(kind: str, asked: str, known: Collection[str]) -> None:
     """Raise `UserError` unless `asked` is one of the `known` names."""
     if asked not in known:
         raise unknown(kind, asked, sorted(known))
+
+
+def out_of_memory(error: BaseException) -> bool:
+    """Whether an error says that memory ran out, in the words of any allocator."""
+    words = ("allocate memory", "out of memory", "bad_alloc", "start new thread")
+    return isinstance(error, MemoryError) or (
+        isinstance(error, RuntimeError) and any(word in str(error) for word in words)
+    )

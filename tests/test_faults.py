@@ -120,7 +120,7 @@ def broken_step(scene: Scene, folder: Path) -> tuple[Path, NativeBatch]:
 def test_a_dump_holds_the_state_before_the_step(scene: Scene, tmp_path: Path) -> None:
     path, before = broken_step(scene, tmp_path)
     dump, expected = load_tree(path), before.engine.save(np.array([1]))
-    again = replay._world(dump, Tiny())
+    again = replay._batch(dump, Tiny())
     np.testing.assert_array_equal(again.engine.states, expected.states)
     np.testing.assert_array_equal(again.engine.save().readings, expected.readings)
 

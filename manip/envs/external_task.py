@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from manip.envs.task import Measures, Start, Task
-from manip.errors import UserError, check_choice
+from manip.errors import UserError, check_choice, shown, unknown
 from manip.sim.sensors import Sensors
 
 Array = np.ndarray
@@ -145,5 +145,10 @@ def load_external(name: str) -> ExternalTask:
         UserError: no such library or task; the message lists those that exist.
     """
     library, _, environment = name.partition("/")
-    check_choice("library", library, LIBRARIES)
+    if library not in LIBRARIES:
+        raise UserError(
+            f"task {shown(name)}: {unknown('library', library, LIBRARIES)}; a task is a "
+            "name (see `manip list`), package.module:Class for a class of your own, or "
+            "library/name"
+        )
     return LIBRARIES[library](environment)
