@@ -16,7 +16,7 @@ from manip.envs.measure_cache import MeasureCache
 from manip.envs.option_checks import state_array
 from manip.envs.reward_range import RewardRange
 from manip.envs.task import Measures, Task
-from manip.envs.task_check import check_task
+from manip.envs.task_check import check_memory, check_task
 from manip.envs.task_errors import blamed, exits_blamed
 from manip.envs.task_outputs import OutputForm, TaskOutputs, evaluate
 from manip.envs.time_step import TimeStep
@@ -251,6 +251,7 @@ class TaskBatch(ABC):
     def _update_memory(self, env_ids: Array) -> None:
         if self.task.sensors.memory and len(env_ids):
             memory = self.task.update_memory(self._cache.get())
+            check_memory(self.task, memory, self.num_envs)
             self._keep(
                 env_ids, {name: values[env_ids] for name, values in memory.items()}
             )
