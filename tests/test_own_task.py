@@ -350,7 +350,7 @@ def test_memory_that_changes_in_mid_run_is_an_error(press: Task, scene_of) -> No
             batch.step(np.zeros((batch.num_envs, 7)))
     task.update_memory = lambda m: {}
     for batch in batches:
-        with pytest.raises(UserError, match="update_memory.* returns nothing, but"):
+        with pytest.raises(UserError, match=r"update_memory.* returns nothing, but"):
             batch.step(np.zeros((batch.num_envs, 7)))
 
 
