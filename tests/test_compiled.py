@@ -91,24 +91,23 @@ NOWHERE = {  # an install and a home that cannot be written
     "NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator",
     "NUMBA_CACHE_DIR": "",
 }
-RUN_STOCK = """
-import os, tempfile, numba
-from pathlib import Path
-from manip.sim.robosuite_factory import make_stock
-from robosuite.utils.transform_utils import axisangle2quat, quat2mat
-import numpy as np
-print(quat2mat(axisangle2quat(np.zeros(3)))[0, 0], repr(numba.config.CACHE_DIR))
+IMPORT_ROBOSUITE = """
+import numba
+import manip.sim.robosuite_factory
+from robosuite.utils.transform_utils import quat2mat
+print(repr(numba.config.CACHE_DIR))
 print(quat2mat._cache.cache_path)
 """
 
 
-def test_robosuite_runs_where_nothing_can_be_cached() -> None:
-    done = in_python(RUN_STOCK, **NOWHERE)
+def test_robosuite_is_imported_where_nothing_can_be_cached() -> None:
+    done = in_python(IMPORT_ROBOSUITE, **NOWHERE)
     assert done.returncode == 0, done.stderr
     assert "code that robosuite compiles is not cached" in done.stderr
     assert "NUMBA_CACHE_DIR" in done.stderr
-    result, folder = done.stdout.splitlines()
-    assert result == "1.0 ''"  # numba's own setting is as before
+    setting, folder = done.stdout.splitlines()
+    assert setting == "''"  # as before
+    assert "manip-numba-" in folder
     assert not Path(folder).exists()
 
 

@@ -41,7 +41,9 @@ def in_python(code: str, **variables: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize("variables", [{}, {"MUJOCO_GL": "glfw"}])
+@pytest.mark.parametrize(
+    "variables", [{"MUJOCO_GL": "glfw"}, pytest.param({}, marks=pytest.mark.slow)]
+)
 def test_imports_change_no_variable_and_no_log(variables: dict) -> None:
     done = in_python(IMPORT_ALL, **variables)
     assert done.stdout.splitlines() == ["[]", "True"], done.stderr
@@ -58,12 +60,22 @@ def test_only_programs_silence_robosuite() -> None:
 def test_an_unknown_gl_backend_is_one_warning() -> None:
     code = """
 import manip.envs, os
-from manip.sim.robosuite_factory import make_stock
-from manip.sim.renderer import camera_names
-make_stock("Lift")
 print(os.environ["MUJOCO_GL"])
 """
     done = in_python(code, MUJOCO_GL="garbage")
     assert (done.returncode, done.stdout) == (0, "garbage\n"), done.stderr
     assert done.stderr.count("UserWarning") == 1
     assert "MUJOCO_GL=garbage is not used" in done.stderr
+
+
+def test_a_gpu_that_robosuite_refuses_is_one_line() -> None:
+    code = """
+from manip.errors import UserError
+try:
+    import manip.envs
+except UserError as error:
+    print(error)
+"""
+    done = in_python(code, CUDA_VISIBLE_DEVICES="1", MUJOCO_EGL_DEVICE_ID="7")
+    (line,) = done.stdout.splitlines()
+    assert "robosuite cannot be imported: MUJOCO_EGL_DEVICE_ID" in line

@@ -9,21 +9,24 @@ from typing import Any
 import numpy as np
 
 from manip.compiled import fallback_cache
-from manip.errors import check_choice
+from manip.errors import UserError, check_choice, one_line
 from manip.robot_config import RobotConfig, check_robot_config
 from manip.sim.gl import keep_mujoco_gl
-from manip.sim.library_logs import quiet, quiet_robosuite
+from manip.sim.robosuite_log import quiet, quiet_robosuite
 
-# On import robosuite warns of optional packages, sets MUJOCO_GL, and fails where numba
-# cannot store compiled functions.
-with quiet(), keep_mujoco_gl(), fallback_cache("robosuite"):
-    import robosuite
-    from robosuite.controllers import load_part_controller_config
-    from robosuite.controllers.composite.composite_controller_factory import (
-        refactor_composite_controller_config,
-    )
-    from robosuite.environments.base import REGISTERED_ENVS
-    from robosuite.environments.manipulation.two_arm_env import TwoArmEnv
+# On import robosuite warns of optional packages, sets MUJOCO_GL, fails where numba
+# cannot store compiled functions, and asserts that it may use MUJOCO_EGL_DEVICE_ID.
+try:
+    with quiet(), keep_mujoco_gl(), fallback_cache("robosuite"):
+        import robosuite
+        from robosuite.controllers import load_part_controller_config
+        from robosuite.controllers.composite.composite_controller_factory import (
+            refactor_composite_controller_config,
+        )
+        from robosuite.environments.base import REGISTERED_ENVS
+        from robosuite.environments.manipulation.two_arm_env import TwoArmEnv
+except AssertionError as error:
+    raise UserError(f"robosuite cannot be imported: {one_line(error)}") from error
 
 __all__ = [
     "PANDA",

@@ -9,7 +9,7 @@ from manip.errors import check_choice
 from manip.robot_config import RobotConfig
 from manip.sim.external.external_sim import ExternalSim, ExternalStep
 from manip.sim.gl import keep_mujoco_gl
-from manip.sim.library_logs import quiet
+from manip.sim.robosuite_log import quiet
 
 with keep_mujoco_gl("off"):  # else dm_control looks for a window system
     from dm_control import composer, manipulation

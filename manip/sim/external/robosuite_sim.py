@@ -7,8 +7,8 @@ import numpy as np
 
 from manip.robot_config import RobotConfig, check_robot_config
 from manip.sim.external.external_sim import ExternalSim, ExternalStep
-from manip.sim.library_logs import quiet
 from manip.sim.robosuite_factory import environment_names, make_stock, reseed
+from manip.sim.robosuite_log import quiet
 
 Array = np.ndarray
 
