@@ -8,6 +8,7 @@ from toy import QUICK_A2C, SPACES, Points, make_agent, mean_return
 
 from manip.agents.a2c import A2C
 from manip.agents.a3c import A3C, A3CConfig
+from manip.rewards.reward_function import EnvironmentReward
 from manip.training.collector import Collector
 
 QUICK = A3CConfig(
@@ -24,7 +25,7 @@ def run(agent: A2C, workers: int, steps: int) -> A2C:
     torch.manual_seed(5)
     size = 16 // workers
     envs = [Points([20] * size, seed=worker) for worker in range(workers)]
-    collector = Collector(envs, agent, ahead=False)
+    collector = Collector(envs, agent, ahead=False, reward=EnvironmentReward())
     for _ in range(steps // (size * agent.rollout_length)):
         agent.update(collector.next().batch)
     return agent

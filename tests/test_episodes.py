@@ -1,7 +1,7 @@
 """Episodes: what a tracker reports of given steps, and which episodes count."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import pytest
 import torch
@@ -106,8 +106,8 @@ def test_a_tracker_of_other_environments_is_refused() -> None:
         EpisodeTracker(3).load_state(saved.save_state())
 
 
-def still(observation: torch.Tensor) -> torch.Tensor:
-    return torch.zeros_like(observation)
+def still(parts: Mapping[str, torch.Tensor]) -> torch.Tensor:
+    return torch.zeros_like(parts["x"])
 
 
 @pytest.mark.parametrize("each", [1, 2, 5])
@@ -138,7 +138,7 @@ def test_the_policy_acts_and_the_callback_gets_each_state_before_its_step() -> N
     states: list[float] = []
     (episode,) = run_episodes(
         Points([4], start=0.8),
-        lambda observation: torch.full_like(observation, -1.0),
+        lambda parts: torch.full_like(parts["x"], -1.0),
         1,
         callback=lambda state: states.append(state["observation"].item()),
     )

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -323,6 +324,34 @@ def test_a_task_that_changes_in_mid_run_is_an_error(
     with pytest.raises(UserError) as error:
         batch.step(np.zeros((3, 7)))
     assert str(error.value).startswith(f"task 'Mine': {message}")
+
+
+def test_memory_that_changes_in_mid_run_is_an_error(press: Task, scene_of) -> None:
+    """A backend could broadcast it, or lose it."""
+    memory = {"depth_before": 1}
+    task = type(
+        "Mine",
+        (type(press),),
+        {
+            "sensors": replace(press.sensors, memory=memory),
+            "update_memory": lambda self, m: {"depth_before": m["depth"][:, None]},
+        },
+    )()
+    scene = scene_of(task)
+    batches = [
+        NativeBatch(task, 3, scene=scene, threads=1),
+        StockBatch(task, stock=scene.stock),
+    ]
+    for batch in batches:
+        batch.begin(np.arange(batch.num_envs))
+    task.update_memory = lambda m: {"depth_before": m["depth"]}
+    for batch in batches:
+        with pytest.raises(UserError, match="'depth_before' has shape"):
+            batch.step(np.zeros((batch.num_envs, 7)))
+    task.update_memory = lambda m: {}
+    for batch in batches:
+        with pytest.raises(UserError, match=r"update_memory.* returns nothing, but"):
+            batch.step(np.zeros((batch.num_envs, 7)))
 
 
 class Leave(BaseException):

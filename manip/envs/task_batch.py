@@ -16,7 +16,7 @@ from manip.envs.measure_cache import MeasureCache
 from manip.envs.option_checks import state_array
 from manip.envs.reward_range import RewardRange
 from manip.envs.task import Measures, Task
-from manip.envs.task_check import check_task
+from manip.envs.task_check import check_memory, check_task
 from manip.envs.task_errors import blamed, exits_blamed
 from manip.envs.task_outputs import OutputForm, TaskOutputs, evaluate
 from manip.envs.time_step import TimeStep
@@ -167,23 +167,6 @@ class TaskBatch(ABC):
         self.episode[:] = episode - 1
         self._begun[:] = False
 
-    @property
-    def layout(self) -> dict[str, slice]:
-        """Columns of the parts, until policy cards hold `observation_spec`."""
-        return self.observation_spec.slices
-
-    def check_layout(self, layout: Mapping[str, Sequence[int]]) -> None:
-        """Compare the columns with a policy's, until cards hold `observation_spec`."""
-        own = {n: [part.start, part.stop] for n, part in self.layout.items()}
-        other = {name: list(part) for name, part in layout.items()}
-        if own != other:
-            both = own.keys() | other.keys()
-            parts = sorted(name for name in both if own.get(name) != other.get(name))
-            raise UserError(
-                f"the policy was trained on another observation than {self.task.name} "
-                f"shows: {', '.join(parts)} differ"
-            )
-
     def begin(self, env_ids: Array) -> None:
         """Start the next episode in the given environments [n] int."""
         self.episode[env_ids] += 1
@@ -251,6 +234,7 @@ class TaskBatch(ABC):
     def _update_memory(self, env_ids: Array) -> None:
         if self.task.sensors.memory and len(env_ids):
             memory = self.task.update_memory(self._cache.get())
+            check_memory(self.task, memory, self.num_envs)
             self._keep(
                 env_ids, {name: values[env_ids] for name, values in memory.items()}
             )

@@ -155,6 +155,10 @@ class ExternalBatch(NotCopied, TaskBatch):
             for env_id, taken in enumerate(actions)
         }
         results = self._pool.call("repeat", calls)
+        if diverged := [env_id for env_id, step in results.items() if step is None]:
+            raise UserError(
+                f"the saved actions of environment {diverged[0]} end in divergence"
+            )
         self._steps = [results[env_id] for env_id in range(self.num_envs)]
 
     def _checked(self, actions: Any) -> Array:
