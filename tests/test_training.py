@@ -24,6 +24,7 @@ from training_runs import (
 )
 
 from manip.agents.policy import load_policy
+from manip.errors import UserError
 from manip.training.build import policy_of
 from manip.training.config import (
     from_dict,
@@ -179,6 +180,14 @@ def test_a_table_starts_with_its_rows_and_may_get_new_columns(tmp_path: Path) ->
     with path.open("a") as file:
         file.write("40,2")
     assert [row["env_steps"] for row in read_metrics(path)] == ["10", "20", "30"]
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe\n", b"a" * 200_000 + b"\n1\n"])
+def test_a_file_that_is_no_table_is_refused(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "metrics.csv"
+    path.write_bytes(content)
+    with pytest.raises(UserError, match=f"{path} is damaged"):
+        read_metrics(path)
 
 
 def test_faults_are_reported_counted_and_stored_and_a_run_continues(
