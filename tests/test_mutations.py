@@ -96,7 +96,7 @@ mutated = settings(
 )
 
 
-@pytest.mark.filterwarnings("ignore:.*trying the one before")
+@pytest.mark.filterwarnings("ignore:.*trying the checkpoint before")
 @pytest.mark.parametrize("kind", ["policy", "checkpoint"])
 @settings(mutated, max_examples=30, derandomize=True)
 @given(damage=damages())
@@ -105,7 +105,7 @@ def test_damage_is_refused(kind: str, stored, damage) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:.*trying the one before")
+@pytest.mark.filterwarnings("ignore:.*trying the checkpoint before")
 @pytest.mark.parametrize("kind", ["policy", "checkpoint"])
 @settings(mutated, max_examples=500)
 @given(damage=damages())

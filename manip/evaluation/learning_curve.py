@@ -11,6 +11,8 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 
+from manip.io.atomic_files import replace_file
+
 CURVES = {
     "eval/success_once": ("ever", "-"),
     "eval/success_held": ("success_held", "-"),
@@ -44,8 +46,7 @@ def plot_learning_curve(
     for axes in (upper, lower):
         axes.grid(alpha=0.3)
     figure.suptitle(title)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
+    replace_file(path, lambda temporary: figure.savefig(temporary, dpi=120))
     plt.close(figure)
 
 
