@@ -9,7 +9,8 @@ from manip.agents.ppo import PPOConfig
 from manip.errors import UserError
 from manip.training.config import TrainConfig, recipe, recorded
 from manip.training.run_logs import read_metrics
-from manip.training.trainer import begin_or_resume
+from manip.training.run import train_or_resume
+from manip.training.terminal import TerminalProgress
 
 EPOCHS = (1, 5, 20)
 CLIPS = (0.2, None)
@@ -85,8 +86,9 @@ def _finished(run: TrainConfig, variant: str) -> list[Evaluated]:
     found = _read(run, variant)
     if found and found[-1].env_steps >= run.steps:
         return found
-    if not begin_or_resume(run).run():
-        raise KeyboardInterrupt
+    with TerminalProgress() as progress:
+        if not train_or_resume(run, callback=progress).finished:
+            raise KeyboardInterrupt
     return _read(run, variant)
 
 
