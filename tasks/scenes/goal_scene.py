@@ -1,4 +1,4 @@
-"""What robosuite environments of our own share: a table, an arm, and a goal."""
+"""The robosuite environment that Reach, Push and PickGoal derive from."""
 
 from abc import abstractmethod
 from collections import OrderedDict
@@ -22,19 +22,19 @@ TABLE_SIZE = (0.8, 0.8, 0.05)
 
 
 class GoalScene(ManipulationEnv):
-    """Something has to be brought to a goal, which is drawn uniformly in a box.
+    """A table, an arm, and a goal that is drawn uniformly in a box.
 
-    Reward: 1 on success, else a part of it with reward shaping and 0 without, times
-    reward_scale. Options are those of robosuite's Lift, passed by keyword.
+    Reward: 1 on success. Before success, a part of 1 with reward shaping, 0 without. It
+    is multiplied by reward_scale. Options are those of robosuite's Lift, by keyword.
 
     Attributes:
         goal_low, goal_high: corners [3] m of the box.
-        goal_mark: size and other attributes of the site that marks the goal.
+        goal_site: size and other attributes of the site that marks the goal.
     """
 
     goal_low: ClassVar[Array]
     goal_high: ClassVar[Array]
-    goal_mark: ClassVar[dict[str, Any]] = {"size": (0.02,)}
+    goal_site: ClassVar[dict[str, Any]] = {"size": (0.02,)}
 
     def __init__(
         self,
@@ -54,24 +54,25 @@ class GoalScene(ManipulationEnv):
         """Reward of the current state; `action` is not used."""
         if self._check_success():
             return self.reward_scale
-        return self.reward_scale * self._partial() if self.reward_shaping else 0.0
+        shaped = self._shaped_reward() if self.reward_shaping else 0.0
+        return self.reward_scale * shaped
 
     @abstractmethod
-    def _partial(self) -> float:
-        """Shaped reward before success, in [0, 1]."""
+    def _shaped_reward(self) -> float:
+        """Reward before success, in [0, 1]."""
 
-    def _looks(self) -> dict[str, Callable[[], Array]]:
-        """Observation of the objects -> what it shows."""
-        return {"goal_pos": self._goal}
+    def _object_observables(self) -> dict[str, Callable[[], Array]]:
+        """Name -> function that reads the observation."""
+        return {"goal_pos": self._goal_pos}
 
     def _objects(self) -> list[Any]:
         """Build the loose objects."""
         return []
 
-    def _goal(self) -> Array:
+    def _goal_pos(self) -> Array:
         return np.array(self.sim.data.site_xpos[self.goal_id])
 
-    def _tool(self) -> Array:
+    def _tool_pos(self) -> Array:
         return np.array(self.sim.data.site_xpos[self.robots[0].eef_site_id["right"]])
 
     def _load_model(self) -> None:
@@ -83,7 +84,7 @@ class GoalScene(ManipulationEnv):
         middle = (self.goal_low + self.goal_high) / 2
         green = (0.1, 0.8, 0.2, 0.9)
         arena.worldbody.append(
-            new_site("goal", pos=middle, rgba=green, **self.goal_mark)
+            new_site("goal", pos=middle, rgba=green, **self.goal_site)
         )
         self.model = ManipulationTask(arena, [robot], self._objects())
 
@@ -93,10 +94,10 @@ class GoalScene(ManipulationEnv):
 
     def _setup_observables(self) -> OrderedDict[str, Observable]:
         observables = super()._setup_observables()
-        for name, look in self._looks().items():
+        for name, read in self._object_observables().items():
             observables[name] = Observable(
                 name,
-                sensor(modality="object")(lambda _, look=look: look()),
+                sensor(modality="object")(lambda _, read=read: read()),
                 sampling_rate=self.control_freq,
             )
         return observables
@@ -108,9 +109,10 @@ class GoalScene(ManipulationEnv):
             self.sim.model.site_pos[self.goal_id] = goal
 
 
-def closeness(one: Array, other: Array) -> float:
-    """1 - tanh(10 d) of the distance d [m], robosuite's term of reaching."""
+def reach_reward(one: Array, other: Array) -> float:
+    """1 - tanh(10 d) of the distance d [m], as robosuite rewards reaching."""
     return float(1.0 - np.tanh(10.0 * np.linalg.norm(one - other)))
 
 
-del REGISTERED_ENVS[GoalScene.__name__]  # no environment by itself
+# robosuite registers every subclass. This one cannot be built alone.
+del REGISTERED_ENVS[GoalScene.__name__]

@@ -1,4 +1,4 @@
-"""What our environments with a cube share: the cube, and where it starts."""
+"""The robosuite environment that Push and PickGoal derive from: a cube and a goal."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -8,7 +8,7 @@ from robosuite.environments.base import REGISTERED_ENVS
 from robosuite.models.objects import BoxObject
 from robosuite.utils.transform_utils import convert_quat
 
-from manip.tasks.scenes.goal import TABLE, GoalScene
+from manip.tasks.scenes.goal_scene import TABLE, GoalScene
 
 Array = np.ndarray
 
@@ -19,27 +19,27 @@ SPREAD = np.array([0.1, 0.15])
 
 
 class CubeScene(GoalScene):
-    """The cube starts on the table, with any yaw.
+    """The cube starts on the table, at a random position and yaw.
 
     Attributes:
-        apart: least horizontal distance [m] from the goal at which it starts.
+        min_start_distance: smallest horizontal distance [m] of the start from the goal.
     """
 
-    apart: ClassVar[float] = 0.0
+    min_start_distance: ClassVar[float] = 0.0
 
-    def _cube(self) -> Array:
+    def _cube_pos(self) -> Array:
         return np.array(self.sim.data.body_xpos[self.cube_id])
 
-    def _turn(self) -> Array:
+    def _cube_quat(self) -> Array:
         return convert_quat(np.array(self.sim.data.body_xquat[self.cube_id]), "xyzw")
 
-    def _looks(self) -> dict[str, Callable[[], Array]]:
+    def _object_observables(self) -> dict[str, Callable[[], Array]]:
         return {
-            **super()._looks(),
-            "cube_pos": self._cube,
-            "cube_quat": self._turn,
-            "gripper_to_cube_pos": lambda: self._cube() - self._tool(),
-            "cube_to_goal_pos": lambda: self._goal() - self._cube(),
+            **super()._object_observables(),
+            "cube_pos": self._cube_pos,
+            "cube_quat": self._cube_quat,
+            "gripper_to_cube_pos": lambda: self._cube_pos() - self._tool_pos(),
+            "cube_to_goal_pos": lambda: self._goal_pos() - self._cube_pos(),
         }
 
     def _objects(self) -> list[Any]:
@@ -53,17 +53,19 @@ class CubeScene(GoalScene):
     def _reset_internal(self) -> None:
         super()._reset_internal()
         if not self.deterministic_reset:
-            spot, yaw = self._free_spot(), self.rng.uniform(0, 2 * np.pi)
+            spot, yaw = self._start_spot(), self.rng.uniform(0, 2 * np.pi)
             turn = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
             pose = [*spot, TABLE[2] + HALF, *turn]
             self.sim.data.set_joint_qpos(self.cube.joints[0], pose)
 
-    def _free_spot(self) -> Array:
+    def _start_spot(self) -> Array:
+        """Draw a start [2] m that is far enough from the goal."""
         goal = self.sim.model.site_pos[self.goal_id][:2]
         while True:
             spot = self.rng.uniform(-SPREAD, SPREAD)
-            if np.linalg.norm(spot - goal) > self.apart:
+            if np.linalg.norm(spot - goal) > self.min_start_distance:
                 return spot
 
 
-del REGISTERED_ENVS[CubeScene.__name__]  # no environment by itself
+# robosuite registers every subclass. This one cannot be built alone.
+del REGISTERED_ENVS[CubeScene.__name__]
