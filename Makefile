@@ -1,15 +1,15 @@
-# Everything a fresh clone needs: `make setup`, `make test`, `make demo`.
+# A fresh clone needs only `make setup`, `make test`, `make demo`.
 # Needs Python 3.11 or newer with venv. Nothing is installed outside .venv.
 
 PYTHON ?= python3
 BIN := .venv/bin
 
-# Written last and named after the contents of what was installed: an interrupted
-# setup starts over, a finished one is not repeated until one of the two files changes.
+# Written last, and named after a checksum of the two files: an interrupted setup starts
+# again, a finished one is repeated only when one of the two files has changed.
 STAMP := .venv/.setup-$(shell cat requirements.lock pyproject.toml | cksum | cut -d ' ' -f 1)
 
 PIP := $(BIN)/python -m pip --disable-pip-version-check
-# Exits with the message, or with 0. Runs on any Python, old ones too.
+# Exits with the message, or with 0. It must run on old versions of Python as well.
 CHECK := -c 'import sys; v = sys.version_info[:2]; sys.exit(v < (3, 11) and \
 	"manip needs Python 3.11 or newer, and %s is %d.%d. Remove .venv if \
 	there is one, and name another Python: make setup PYTHON=python3.12" % ((sys.executable,) + v))'
@@ -38,8 +38,9 @@ $(BIN)/python:
 	@$(PYTHON) $(CHECK)
 	$(PYTHON) -m venv --clear .venv
 
-# By name: pip would resolve robosuite's own requirements along with manip[peers], and
-# those contradict the lock. Not in the lock itself, which `make setup` installs whole.
+# Installed by name, because pip would resolve robosuite's requirements along with
+# manip-suite[peers], and these contradict the lock. They are not in the lock, because
+# `make setup` installs all of it.
 PEERS = $(BIN)/python -c 'import tomllib; \
 	print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["peers"])'
 
@@ -64,8 +65,8 @@ format: setup ## Format the code and fix what ruff can fix
 demo: setup ## Run the demonstration; its results go to runs/demo
 	$(BIN)/python scripts/demo.py --out runs/demo
 
-# Keeps the comments. labmaze has no wheel for Python 3.13 and newer, and manip gets
-# along without it: only dm_control.locomotion imports it.
+# Keeps the comments. labmaze has no wheel for Python 3.13 and newer. manip does not need
+# it: only dm_control.locomotion imports it.
 lock: ## Write the versions found in .venv to requirements.lock
 	@$(PIP) freeze --all --exclude pip --exclude manip-suite > .venv/frozen
 	@{ grep '^#' requirements.lock; \

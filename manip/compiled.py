@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 
 _HERE = Path(__file__).parent
 
@@ -57,6 +59,10 @@ _OPTIONS: dict[str, Any] = {
 }
 
 
+_WEAK = {"linkonce_any", "linkonce_odr", "weak_any", "weak_odr"}
+"""Linkages of functions that a loader binds to any function of equal name."""
+
+
 def jit(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile to native code that runs without the GIL, cached where possible."""
     return _cached(function)
@@ -93,6 +99,39 @@ def _cached(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     others = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(cache_folder())
     try:
-        return numba.njit(function, cache=_CACHE, **options, **_OPTIONS)
+        return numba.njit(
+            function,
+            cache=_CACHE,
+            pipeline_class=_SelfContainedCompiler,
+            **options,
+            **_OPTIONS,
+        )
     finally:
         numba.config.CACHE_DIR = others
+
+
+class _SelfContainedLibrary(JITCodeLibrary):
+    """Compiled code that calls its own copies of the kernels that are linked into it.
+
+    numba leaves these copies weak: a call is bound to the first function of that name
+    in the process. That is the copy where the code comes from the cache, but the kernel
+    as compiled for itself in the process that fills the cache. LLVM optimises the two
+    differently, so that reordered sums differ in their last bits. Calls of internal
+    functions are bound within the library in every process.
+    """
+
+    def _optimize_final_module(self) -> None:
+        super()._optimize_final_module()
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage.name in _WEAK:
+                function.linkage = "internal"
+
+
+class _SelfContainedCompiler(Compiler):
+    """numba's compiler, writing to a `_SelfContainedLibrary`."""
+
+    def compile_extra(self, func: Callable[..., Any]) -> Any:
+        codegen = self.state.targetctx.codegen()
+        self.state.library = _SelfContainedLibrary(codegen, func.__qualname__)
+        self.state.library.enable_object_caching()
+        return super().compile_extra(func)

@@ -37,7 +37,7 @@ def shown(value: object) -> str:
         return "a number too large to show"
 
 
-def one_line(error: Exception) -> str:
+def one_line(error: BaseException) -> str:
     """The start of an error's message, without line breaks."""
     return " ".join(str(error).split())[:200]
 
@@ -52,7 +52,8 @@ def unknown(kind: str, name: object, known: Iterable[str]) -> UserError:
     close = get_close_matches(shown(name).strip("'").casefold(), names, n=1)
     hint = f"did you mean {names[close[0]]!r}? " if close else ""
     listing = ", ".join(names.values())
-    return UserError(f"unknown {kind} {shown(name)}: {hint}known {kind}s: {listing}")
+    kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
+    return UserError(f"unknown {kind} {shown(name)}: {hint}known {kinds}: {listing}")
 
 
 def check_choice(kind: str, name: str, known: Collection[str]) -> None:

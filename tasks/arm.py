@@ -1,19 +1,25 @@
-"""What all tasks share: the arm's part of the observation, and the arm's reset."""
+"""The arm's part of every task: start pose, observation, grasp."""
 
 import numpy as np
 
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures
 from manip.sim.scene import Scene
+from manip.tasks.rotations import cos_sin, yaw_angle
 
 Array = np.ndarray
 
 JOINT_NOISE = 0.02
 """Standard deviation [rad] of the arm's start pose (robosuite/robots/robot.py)."""
 
+ARM_PARTS = ("joint_pos", "joint_vel", "gripper_qpos", "gripper_closing", "eef_pos")
+"""Parts of `observe_arm`, all of which a real arm measures itself."""
+TOOL_PARTS = ("tool_yaw", "tool_tilt")
+"""Parts that `observe_arm_and_tool` adds, which follow from the joint angles."""
+
 
 def start_qpos(scene: Scene, streams: EpisodeStreams) -> Array:
-    """[n, nq]: the default pose with robosuite's noise on the arm's joints."""
+    """[n, nq]: the default pose, with robosuite's noise on the arm's joints."""
     qpos = np.tile(scene.layout.qpos, (len(streams), 1))
     joints = scene.layout.arm.qpos
     qpos[:, joints] += streams.normal(JOINT_NOISE, len(joints))
@@ -35,16 +41,36 @@ def observe_arm(m: Measures, centre: Array) -> dict[str, Array]:
     }
 
 
-def ready(m: Measures) -> Array:
-    """[N] in [0.5, 1]: 1 with the object held or the gripper open, else less.
+def observe_arm_and_tool(m: Measures, centre: Array) -> dict[str, Array]:
+    """As `observe_arm`, then the orientation of the tool.
 
-    A factor for rewards of coming near: fingers that are closed around nothing come to
-    rest on top of the object, and learn no better.
+    tool_yaw: cosine and sine of its yaw; tool_tilt: horizontal part of its axis * 3.
     """
-    return np.where(m["held"], 1.0, 0.75 - 0.25 * m["gripper_closing"])
+    tool = m["eef_mat"]
+    return {
+        **observe_arm(m, centre),
+        "tool_yaw": cos_sin(yaw_angle(tool)),
+        "tool_tilt": 3.0 * tool[:, [2, 5]],
+    }
 
 
-def yaw_quaternion(yaw: Array) -> Array:
-    """[n, 4] wxyz: rotation by `yaw` [n] rad about the vertical."""
-    zero = np.zeros_like(yaw)
-    return np.stack([np.cos(yaw / 2), zero, zero, np.sin(yaw / 2)], axis=1)
+def both_pads_touch(read: Measures) -> Array:
+    """[N] bool: both finger pads touch the object (robosuite's `_check_grasp`)."""
+    return (read["left_touch"] > 0) & (read["right_touch"] > 0)
+
+
+def reach_factor(m: Measures) -> Array:
+    """[N] in [0.5, 1]: factor of a reach reward.
+
+    It is 1 with a firm grasp, and falls from 1 to 0.5 as an empty gripper closes.
+    Without it, policies learned to rest closed fingers on top of the object, and did
+    not improve from there.
+    """
+    return np.where(m["firm_grasp"], 1.0, 0.75 - 0.25 * m["gripper_closing"])
+
+
+def near_joint_limit(read: Measures, margin: float) -> Array:
+    """[N] bool: a joint of the arm is within `margin` [rad] of an end of its range."""
+    above = read["joint_pos"] - read["joint_low"]
+    below = read["joint_high"] - read["joint_pos"]
+    return (np.minimum(above, below) <= margin).any(axis=1)

@@ -1,4 +1,4 @@
-"""What tasks with one cube share: how it is sensed, measured and observed."""
+"""The cube of Lift, Push and PickGoal: sensors, measures, observation, grasp term."""
 
 import numpy as np
 
@@ -6,28 +6,29 @@ from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures
 from manip.rewards.kernels import ramp
 from manip.sim.scene import Scene
-from manip.tasks.arm import observe_arm, start_qpos
-from manip.tasks.objects import poses, rotation, turns, yaw
+from manip.tasks.arm import both_pads_touch, observe_arm, start_qpos
+from manip.tasks.placement import poses_with_any_yaw
+from manip.tasks.rotations import cos_sin, rotation_matrix, yaw_angle
 
 Array = np.ndarray
 
 TABLE = np.array([0.0, 0.0, 0.8])
 """Centre of the table top [m] (robosuite/environments/manipulation/lift.py)."""
 CENTRE = TABLE + np.array([0.0, 0.0, 0.15])
-"""Origin [m] of the tool's place in observations."""
-AROUND = 0.02
-"""Distance [m] of the tool from the cube's centre, below which it is around it."""
+"""Origin [m] of the observed tool position."""
 
-CENTRED = 0.012
-"""Distance [m] below which it is fully so."""
+GRASP_FAR = 0.02
+"""Distance [m] of the tool from the cube's centre at which grasp_quality is 0."""
+GRASP_NEAR = 0.012
+"""Distance [m] up to which grasp_quality is 1."""
 
-WIDTH = 0.044
-"""Most that Lift's cube measures from face to face [m] (ibid.)."""
-SLOW = 0.1
-"""Change of a gripper's command in a control step, below which it is slow, and weak."""
+CUBE_WIDTH = 0.044
+"""Largest width [m] of Lift's cube, from face to face (ibid.)."""
+SLOW_GRIPPER = 0.1
+"""Change of the gripper's command per control step below which it is slow and weak."""
 
-CUBE = {"cube": "cube_main"}
-PADS = {
+CUBE_BODY = {"cube": "cube_main"}
+PAD_TOUCHES = {
     "left_touch": ("left_fingerpad", "cube_main"),
     "right_touch": ("right_fingerpad", "cube_main"),
 }
@@ -36,56 +37,62 @@ PADS = {
 def start_cube(
     scene: Scene, streams: EpisodeStreams, spots: Array, height: float
 ) -> Array:
-    """[n, nq]: the arm at its start, the cube at `spots` [n, 2] m, with any yaw.
+    """[n, nq]: the arm at its start, the cube at `spots` [n, 2] m, yaw uniform.
 
     height: of the cube's centre above the table [m].
     """
     qpos = start_qpos(scene, streams)
-    qpos[:, scene.free_qpos("cube_main")] = poses(streams, spots, TABLE[2] + height)
+    cube = poses_with_any_yaw(streams, spots, TABLE[2] + height)
+    qpos[:, scene.free_qpos("cube_main")] = cube
     return qpos
 
 
 def measure_cube(read: Measures) -> dict[str, Array]:
-    """Add the cube's offset and distance from the tool, its height, its grasp.
+    """Add the cube's offset and distance from the tool, its height, and the grasp.
 
-    to_cube [N, 3] m, distance [N] m, height [N] m above the table; grasped [N] is
-    robosuite's test, held [N] in [0, 1] falls to 0 as the tool slips off the cube.
+    to_cube [N, 3] m; distance [N] m; height [N] m above the table; grasped [N] bool,
+    robosuite's test; grasp_quality [N] in [0, 1], which is 0 without a grasp and falls
+    from 1 to 0 as the tool slips off the cube's centre.
     """
     to_cube = read["cube_pos"] - read["eef_pos"]
     distance = np.linalg.norm(to_cube, axis=1)
-    grasped = (read["left_touch"] > 0) & (read["right_touch"] > 0)
+    grasped = both_pads_touch(read)
     return {
         **read,
         "to_cube": to_cube,
         "distance": distance,
         "height": read["cube_pos"][:, 2] - TABLE[2],
         "grasped": grasped,
-        "held": grasped * ramp(-distance, -AROUND, -CENTRED),
+        "grasp_quality": grasped * ramp(-distance, -GRASP_FAR, -GRASP_NEAR),
     }
 
 
-def clumsy(m: Measures) -> bool:
-    """Whether the hand is too wide or too weak to turn a cube as it closes on it."""
-    wide, slow = m["gripper_narrowest"] > WIDTH, m["gripper_speed"] < SLOW
+def must_align(m: Measures) -> bool:
+    """Whether the hand is too wide or too weak to turn a cube as it closes on it.
+
+    Such a hand has to turn to the cube's faces or edges before it closes.
+    """
+    wide = m["gripper_narrowest"] > CUBE_WIDTH
+    slow = m["gripper_speed"] < SLOW_GRIPPER
     return bool(wide | slow)
 
 
-def turn_to_cube(m: Measures) -> Array:
-    """[N] rad about the vertical, from the hand to the cube's next pair of faces.
+def yaw_to_cube(m: Measures) -> Array:
+    """[N] rad about the vertical, from the hand to the cube's nearest pair of faces.
 
-    To its next pair of edges if the hand is wider than the cube.
+    For a hand that is wider than the cube: to its nearest pair of edges.
     """
-    edge = np.where(m["gripper_narrowest"] > WIDTH, np.pi / 4, 0.0)
-    error = yaw(rotation(m["cube_quat"])) + edge - yaw(m["eef_mat"])
+    edge = np.where(m["gripper_narrowest"] > CUBE_WIDTH, np.pi / 4, 0.0)
+    error = yaw_angle(rotation_matrix(m["cube_quat"])) + edge - yaw_angle(m["eef_mat"])
     return error - np.pi / 2 * np.round(error / (np.pi / 2))
 
 
 def observe_cube(m: Measures) -> dict[str, Array]:
-    """The arm, then the cube: place, turn, offset from the tool, velocity, touch.
+    """The arm, then the cube: position, rotation, offset, velocity, touches.
 
-    Clumsy hands see also how far they are turned from the cube, four times the angle.
+    A hand that must align also observes four times its yaw to the cube.
     """
-    turn = {"turn": turns(4 * turn_to_cube(m))} if clumsy(m) else {}
+    turn = {"turn": cos_sin(4 * yaw_to_cube(m))} if must_align(m) else {}
     return {
         **observe_arm(m, CENTRE),
         "cube_pos": 4.0 * (m["cube_pos"] - TABLE),
@@ -97,6 +104,6 @@ def observe_cube(m: Measures) -> dict[str, Array]:
     }
 
 
-def closing(m: Measures) -> Array:
-    """[N] in [0, 1]: how far the gripper is told to close, while it holds the cube."""
-    return m["held"] * ramp(m["gripper_closing"], -1.0, 1.0)
+def grasp_term(m: Measures) -> Array:
+    """[N] in [0, 1]: grasp quality times how far the gripper's command is closed."""
+    return m["grasp_quality"] * ramp(m["gripper_closing"], -1.0, 1.0)

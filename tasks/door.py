@@ -1,15 +1,18 @@
 """Door: turn the handle and pull the door open. robosuite's `Door`, with its latch.
 
-Success: the hinge is turned by more than 0.3 rad (robosuite's test); it stops at 0.4.
-Failure: none; an episode ends by time.
-Start: the door's place uniform within +-1 cm of its mean, its turn within 0.25 rad;
-    door closed, handle level; arm in its default pose with 0.02 rad noise a joint.
-Shaped reward, in [0, 1] a step: 0.1 reach + 0.2 turn + 0.4 open + 0.3 stay, where reach
-    is 1 - tanh(5 d) of the tool-handle distance d [m], turn rises linearly until the
-    handle is turned by 1.2 rad, up or down, which frees the latch, open rises linearly
-    over the first 0.35 rad of the hinge, and stay is success. From 0.1 rad on, when the
-    latch is past the frame, reach and turn are paid in full. (Without it agents hurry
-    back to the handle of the open door, and push it shut.)
+Success: the hinge is open by more than 0.3 rad (robosuite's test); it stops at 0.4.
+Failure: none; an episode ends by its time limit.
+Start: the door's position uniform within +-1 cm of its mean, its yaw within 0.25 rad;
+    door closed, handle level; arm in its default pose with 0.02 rad noise per joint.
+Shaped reward, in [0, 1] per step: 0.1 reach + 0.2 turn + 0.4 open + 0.3 stay.
+    reach: 1 - tanh(5 d) of the distance d [m] from the tool to the handle.
+    turn: rises linearly until the handle is turned by 1.2 rad, up or down, which frees
+        the latch.
+    open: rises linearly over the first 0.35 rad of the hinge.
+    stay: 1 on success.
+    Once the hinge is open by 0.1 rad and the latch has passed the frame, reach and turn
+    are 1. Otherwise policies learned to return to the handle of the open door, and
+    pushed it shut.
 """
 
 from typing import ClassVar
@@ -21,21 +24,22 @@ from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, ramp
 from manip.sim.scene import Scene
 from manip.sim.sensors import Sensors
-from manip.tasks.arm import observe_arm, start_qpos, yaw_quaternion
-from manip.tasks.experts.door import door
+from manip.tasks.arm import observe_arm, start_qpos
+from manip.tasks.experts.door_expert import open_door
+from manip.tasks.rotations import yaw_quaternion
 
 Array = np.ndarray
 
 PLACE = np.array([-0.12, -0.35, 1.1])
-"""Mean place [m] of the door (robosuite/environments/manipulation/door.py)."""
+"""Mean position [m] of the door (robosuite/environments/manipulation/door.py)."""
 SPREAD = 0.01
-"""Half width [m] of the square in which it stands (ibid.)."""
-TURN = (-np.pi / 2 - 0.25, -np.pi / 2)
-"""Range [rad] of its turn about the vertical (ibid.)."""
+"""Half width [m] of the square in which the door stands (ibid.)."""
+YAW_RANGE = (-np.pi / 2 - 0.25, -np.pi / 2)
+"""Range [rad] of the door's yaw (ibid.)."""
 CENTRE = np.array([-0.12, -0.15, 1.05])
-"""Origin [m] of the tool's place in observations."""
+"""Origin [m] of the observed tool position."""
 OPEN = 0.3
-"""Success angle [rad] of the hinge (ibid.)."""
+"""Angle [rad] of the hinge for success (ibid.)."""
 AJAR = 0.1
 """Angle [rad] of the hinge from which the latch has passed the frame."""
 FREE = 1.2
@@ -67,18 +71,19 @@ class Door(Task):
     }
 
     def sample_start(self, scene: Scene, streams: EpisodeStreams) -> Start:
-        """Place the door; see the module's docstring."""
+        """Draw the door's pose; see the module's docstring."""
         qpos = start_qpos(scene, streams)
         spread = np.array([SPREAD, SPREAD, 0.0])
         place = PLACE + streams.uniform(-spread, spread, 3)
-        turn = yaw_quaternion(streams.uniform(*TURN, 1)[:, 0])
+        turn = yaw_quaternion(streams.uniform(*YAW_RANGE, 1)[:, 0])
         return Start(qpos, {"door_place": place, "door_turn": turn})
 
     def measure(self, read: Measures) -> Measures:
-        """Add the handle's offset from the tool, the joints' angles, the door's turn.
+        """Add the handle's offset from the tool, the angles of the joints and the door.
 
         to_handle [N, 3] m, distance [N] m; hinge [N] and handle [N] rad, the latter
-        positive downwards; yaw [N] rad of the closed door from its mean.
+        positive downwards; yaw [N] rad of the closed door from
+        its mean.
         """
         to_handle = read["handle_pos"] - read["eef_pos"]
         yaw = 2 * np.arctan2(read["door_turn"][:, 3], read["door_turn"][:, 0])
@@ -88,11 +93,11 @@ class Door(Task):
             "distance": np.linalg.norm(to_handle, axis=1),
             "hinge": read["hinge_qpos"][:, 0],
             "handle": read["handle_qpos"][:, 0],
-            "yaw": yaw - np.mean(TURN),
+            "yaw": yaw - np.mean(YAW_RANGE),
         }
 
     def observe(self, m: Measures) -> dict[str, Array]:
-        """The arm, then the door: place, turn, joints, handle from the tool."""
+        """The arm, then the door: position, yaw, joints, offset of the handle."""
         return {
             **observe_arm(m, CENTRE),
             "door_place": 50.0 * (m["door_place"] - PLACE)[:, :2],
@@ -121,15 +126,15 @@ class Door(Task):
         }
 
     def success(self, m: Measures) -> Array:
-        """The hinge is turned by more than 0.3 rad."""
+        """The hinge is open by more than 0.3 rad."""
         return m["hinge"] > OPEN
 
     def expert(self, m: Measures) -> Array:
-        """As `manip.tasks.experts.door`."""
-        return door(m)
+        """See `manip.tasks.experts.door_expert`."""
+        return open_door(m)
 
     def milestones(self, m: Measures) -> dict[str, Array]:
-        """near: tool within 10 cm of the handle; turned, ajar, open: see above."""
+        """near: tool within 10 cm of the handle; turned, ajar: see FREE, AJAR; open."""
         return {
             "near": m["distance"] < 0.1,
             "turned": np.abs(m["handle"]) > FREE,

@@ -1,16 +1,18 @@
 """Lift: raise a cube off the table. robosuite's `Lift`.
 
 Success: the cube's centre is more than 4 cm above the table top (robosuite's test).
-Failure: none; an episode ends by time.
+Failure: none; an episode ends by its time limit.
 Start: cube centre uniform within +-3 cm of the table's centre, any yaw, 1 cm above the
-    table; arm in its default pose with 0.02 rad noise a joint, gripper half open.
-Shaped reward, in [0, 1] a step: 0.2 reach + 0.25 grasp + 0.55 lift. Reach is
-    1 - tanh(5 d) of the tool-cube distance d [m]; lift rises linearly over the first
-    5 cm. Grasp rises from 0 to 1 as the gripper is told to close while both finger
-    pads touch the cube, in full where d < 1.2 cm, not at all where d > 2 cm. (Paid for
-    the pads' touch alone, agents press them onto the cube's top, and stay there; paid
-    with a sharp edge at 2 cm, or with lift bound to it, too, they hold the cube by its
-    top, lose the reward as it slips, and let go.)
+    table; arm in its default pose with 0.02 rad noise per joint, gripper half open.
+Shaped reward, in [0, 1] per step: 0.2 reach + 0.25 grasp + 0.55 lift.
+    reach: 1 - tanh(5 d) of the distance d [m] from the tool to the cube.
+    grasp: 0 unless both finger pads touch the cube. Rises from 0 to 1 as the gripper's
+        command goes from open to closed, times a factor: 1 for d < 1.2 cm, falling to
+        0 at d = 2 cm.
+    lift: rises linearly over the first 5 cm of height.
+    Without the distance factor, policies learned to press the pads onto the cube's top
+    and stayed there. With a sharp edge at 2 cm, or with lift multiplied by grasp, they
+    held the cube by its top, lost the reward as it slipped, and let go.
 """
 
 from typing import ClassVar
@@ -22,9 +24,17 @@ from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, ramp
 from manip.sim.scene import Scene
 from manip.sim.sensors import Sensors
-from manip.tasks.arm import start_qpos, yaw_quaternion
-from manip.tasks.cube import CUBE, PADS, TABLE, closing, measure_cube, observe_cube
-from manip.tasks.experts.cube import take_cube
+from manip.tasks.arm import start_qpos
+from manip.tasks.cube import (
+    CUBE_BODY,
+    PAD_TOUCHES,
+    TABLE,
+    grasp_term,
+    measure_cube,
+    observe_cube,
+)
+from manip.tasks.experts.cube_expert import take_cube
+from manip.tasks.rotations import yaw_quaternion
 
 Array = np.ndarray
 
@@ -33,8 +43,8 @@ SPREAD = 0.03
 (robosuite/environments/manipulation/lift.py)."""
 DROP = 0.01
 """Height [m] above the table from which the cube is dropped (ibid.)."""
-LIFTED = 0.04
-"""Success height [m] of the cube's centre above the table (ibid.)."""
+SUCCESS_HEIGHT = 0.04
+"""Height [m] of the cube's centre above the table, for success (ibid.)."""
 REST = 0.021
 """Mean half size [m] of the cube; robosuite samples 2.0 to 2.2 cm (ibid.)."""
 
@@ -43,7 +53,7 @@ class Lift(Task):
     """Raise the cube; see the module's docstring for the numbers."""
 
     robosuite_name = "Lift"
-    sensors = Sensors(bodies=CUBE, touches=PADS)
+    sensors = Sensors(bodies=CUBE_BODY, touches=PAD_TOUCHES)
     horizon = 100
     milestone_names = ("near", "grasp", "lift")
     weights: ClassVar[Weights] = {
@@ -52,10 +62,10 @@ class Lift(Task):
     }
 
     def sample_start(self, scene: Scene, streams: EpisodeStreams) -> Start:
-        """Place the cube; see the module's docstring."""
+        """Draw the cube's pose; see the module's docstring."""
         qpos = start_qpos(scene, streams)
         cube = scene.free_qpos("cube_main")
-        half = scene.physics.geom("cube_g0").size[2]
+        half = scene.geom_size("cube_g0")[2]
         spread = np.array([SPREAD, SPREAD, 0.0])
         spot = TABLE + np.array([0.0, 0.0, DROP + half])
         position = spot + streams.uniform(-spread, spread, 3)
@@ -64,11 +74,11 @@ class Lift(Task):
         return Start(qpos)
 
     def measure(self, read: Measures) -> Measures:
-        """As `measure_cube`."""
+        """See `measure_cube`."""
         return measure_cube(read)
 
     def observe(self, m: Measures) -> dict[str, Array]:
-        """The arm and the cube."""
+        """See `observe_cube`."""
         return observe_cube(m)
 
     def reward_terms(self, m: Measures, reward: str) -> dict[str, Array]:
@@ -82,21 +92,21 @@ class Lift(Task):
             }
         return {
             "reach": near(m["distance"], 0.2),
-            "grasp": closing(m),
+            "grasp": grasp_term(m),
             "lift": ramp(m["height"] - REST, 0.0, 0.05),
         }
 
     def success(self, m: Measures) -> Array:
         """The cube's centre is more than 4 cm above the table."""
-        return m["height"] > LIFTED
+        return m["height"] > SUCCESS_HEIGHT
 
     def expert(self, m: Measures) -> Array:
-        """Grasp the cube, and up."""
+        """Grasp the cube, then move up."""
         up = np.array([0.0, 0.0, 0.1])
         return take_cube(m, then=np.tile(up, (len(m["to_cube"]), 1)))
 
     def milestones(self, m: Measures) -> dict[str, Array]:
-        """near: tool within 3 cm of the cube; grasp: both pads touch; lift."""
+        """near: tool within 3 cm of the cube; grasp: both pads touch; lift: success."""
         return {
             "near": m["distance"] < 0.03,
             "grasp": m["grasped"],

@@ -1,19 +1,23 @@
-"""Push: slide a cube to a goal on the table. Our own robosuite `Push`.
+"""Push: slide a cube to a goal on the table.
+
+robosuite does not have this task: `scenes.push_scene` defines its environment.
 
 Success: the cube's centre is within 3 cm of the goal, horizontally, and less than 1 cm
-    above its rest on the table.
-Failure: none; an episode ends by time.
-Start: goal uniform in a rectangle of 24 x 40 cm about the table's centre, cube uniform
+    above its height at rest on the table.
+Failure: none; an episode ends by its time limit.
+Start: goal uniform in a rectangle of 24 x 40 cm around the table's centre; cube uniform
     in one of 20 x 30 cm and at least 10 cm from the goal, any yaw, on the table; arm in
-    its default pose with 0.02 rad noise a joint, gripper half open. The cube's edge is
-    4 cm. The gripper is free: an arm may push, cage or drag.
-Shaped reward, in [0, 1] a step: 0.15 reach + 0.2 grasp + 0.3 slide + 0.35 at_goal.
-    Reach is 1 - tanh(5 d) of the tool-cube distance d [m], grasp is Lift's, slide is
-    1 - tanh(5 r) of the cube's horizontal distance r [m] from the goal, and at_goal
-    falls from 1 within 1 cm to 0.1 at 5 cm beyond it, and linearly to 0 as the cube
-    rises by 5 cm. (Without grasp, agents wedge the cube between fingers and table, and
-    learn no way to move it from there: 3 % after 75,000 steps. With slide, too, bound
-    to the table they shun the grasp, which tilts the cube: 2 % after 100,000.)
+    its default pose with 0.02 rad noise per joint, gripper half open. The cube's edge
+    is 4 cm. The gripper is controlled: a policy may push, cage or drag the cube.
+Shaped reward, in [0, 1] per step: 0.15 reach + 0.2 grasp + 0.3 slide + 0.35 at_goal.
+    reach: 1 - tanh(5 d) of the distance d [m] from the tool to the cube.
+    grasp: as in Lift.
+    slide: 1 - tanh(5 r) of the cube's horizontal distance r [m] from the goal.
+    at_goal: 1 for r <= 1 cm, falling to 0.1 at r = 6 cm; times a factor that falls
+        linearly from 1 to 0 as the cube rises by 5 cm.
+    Without grasp, policies wedged the cube between fingers and table and could not move
+    it from there: 3 % success after 75,000 steps. With the height factor on slide as
+    well, they avoided the grasp, which tilts the cube: 2 % after 100,000 steps.
 """
 
 from typing import ClassVar
@@ -26,18 +30,24 @@ from manip.rewards.kernels import near, ramp, tolerance
 from manip.sim.scene import Scene
 from manip.sim.sensors import Sensors
 from manip.tasks.cube import (
-    CUBE,
-    PADS,
+    CUBE_BODY,
+    PAD_TOUCHES,
     TABLE,
-    closing,
+    grasp_term,
     measure_cube,
     observe_cube,
     start_cube,
 )
-from manip.tasks.experts.cube import take_cube
-from manip.tasks.objects import rotation, scatter, turns, yaw
-from manip.tasks.scenes.cube import HALF, SPREAD
-from manip.tasks.scenes.push import APART, DOWN, GOAL_HIGH, REACHED
+from manip.tasks.experts.cube_expert import take_cube
+from manip.tasks.placement import scatter
+from manip.tasks.rotations import cos_sin, rotation_matrix, yaw_angle
+from manip.tasks.scenes.cube_scene import HALF, SPREAD
+from manip.tasks.scenes.push_scene import (
+    GOAL_HIGH,
+    MIN_START_DISTANCE,
+    REST_TOLERANCE,
+    SUCCESS_DISTANCE,
+)
 
 Array = np.ndarray
 
@@ -47,9 +57,9 @@ class Push(Task):
 
     robosuite_name = "Push"
     sensors = Sensors(
-        bodies=CUBE,
+        bodies=CUBE_BODY,
         sites={"goal": "goal"},
-        touches=PADS,
+        touches=PAD_TOUCHES,
         fields={"goal_place": ("site_pos", "goal")},
     )
     horizon = 100
@@ -60,17 +70,17 @@ class Push(Task):
     }
 
     def sample_start(self, scene: Scene, streams: EpisodeStreams) -> Start:
-        """Place goal and cube; see the module's docstring."""
+        """Draw the goal and the cube's pose; see the module's docstring."""
         half = {"goal": (GOAL_HIGH - TABLE)[:2], "cube": SPREAD}
-        spots = scatter(streams, half, dict.fromkeys(half, APART / 2))
+        spots = scatter(streams, half, dict.fromkeys(half, MIN_START_DISTANCE / 2))
         goal = np.column_stack([spots["goal"], np.full(len(streams), TABLE[2])])
         qpos = start_cube(scene, streams, spots["cube"], HALF)
         return Start(qpos, {"goal_place": goal})
 
     def measure(self, read: Measures) -> Measures:
-        """Add what `measure_cube` does, and where the goal is from the cube.
+        """As `measure_cube`, and the offset of the goal from the cube.
 
-        to_goal [N, 2] m horizontal, gap [N] m its length; down [N]: cube on the table.
+        to_goal [N, 2] m, horizontal; gap [N] m, its length; on_table [N] bool.
         """
         m = measure_cube(read)
         to_goal = (read["goal_pos"] - read["cube_pos"])[:, :2]
@@ -78,15 +88,15 @@ class Push(Task):
             **m,
             "to_goal": to_goal,
             "gap": np.linalg.norm(to_goal, axis=1),
-            "down": m["height"] - HALF < DOWN,
+            "on_table": m["height"] - HALF < REST_TOLERANCE,
         }
 
     def observe(self, m: Measures) -> dict[str, Array]:
-        """The arm and the cube, its turn from the tool's, then the goal."""
-        turn = yaw(rotation(m["cube_quat"])) - yaw(m["eef_mat"])
+        """The arm and the cube, its yaw relative to the tool, then the goal."""
+        turn = yaw_angle(rotation_matrix(m["cube_quat"])) - yaw_angle(m["eef_mat"])
         return {
             **observe_cube(m),
-            "turn": turns(4.0 * turn),
+            "turn": cos_sin(4.0 * turn),
             "goal_pos": 4.0 * (m["goal_pos"] - TABLE)[:, :2],
             "to_goal": np.clip(10.0 * m["to_goal"], -5.0, 5.0),
             "to_goal_fine": 50.0 * np.clip(m["to_goal"], -0.02, 0.02),
@@ -104,23 +114,26 @@ class Push(Task):
         low = ramp(HALF - m["height"], -0.05, 0.0)
         return {
             "reach": near(m["distance"], 0.2),
-            "grasp": closing(m),
+            "grasp": grasp_term(m),
             "slide": near(m["gap"], 0.2),
             "at_goal": low * tolerance(m["gap"], 0.0, 0.01, margin=0.05),
         }
 
     def success(self, m: Measures) -> Array:
         """The cube is on the table, within 3 cm of the goal."""
-        return m["down"] & (m["gap"] < REACHED)
+        return m["on_table"] & (m["gap"] < SUCCESS_DISTANCE)
 
     def expert(self, m: Measures) -> Array:
-        """Grasp the cube, and drag it over the table to the goal."""
+        """Grasp the cube, then drag it over the table to the goal."""
         return take_cube(m, then=np.column_stack([m["to_goal"], HALF - m["height"]]))
 
     def milestones(self, m: Measures) -> dict[str, Array]:
-        """near: tool within 5 cm of the cube; close: cube within 6 cm of the goal."""
+        """near: tool within 5 cm of the cube; close: cube within 6 cm of the goal.
+
+        push: success.
+        """
         return {
             "near": m["distance"] < 0.05,
-            "close": m["down"] & (m["gap"] < 2 * REACHED),
+            "close": m["on_table"] & (m["gap"] < 2 * SUCCESS_DISTANCE),
             "push": self.success(m),
         }

@@ -1,11 +1,14 @@
-"""Reach: bring the tool to a goal point above the table. Our own robosuite `Reach`.
+"""Reach: bring the tool to a goal point above the table.
+
+robosuite does not have this task: `scenes.reach_scene` defines its environment.
 
 Success: the grip site is within 2 cm of the goal.
-Failure: none; an episode ends by time.
+Failure: none; an episode ends by its time limit.
 Start: goal uniform in a box of 30 x 50 x 30 cm, 10 to 40 cm above the table; arm in
-    its default pose with 0.02 rad noise a joint.
-Shaped reward, in [0, 1] a step: 0.5 near + 0.5 at_goal, where near is 1 - tanh(5 d) of
-    the distance d [m] and at_goal falls from 1 within 1 cm to 0.1 at 8 cm beyond it.
+    its default pose with 0.02 rad noise per joint.
+Shaped reward, in [0, 1] per step: 0.5 near + 0.5 at_goal.
+    near: 1 - tanh(5 d) of the distance d [m] from the tool to the goal.
+    at_goal: 1 for d <= 1 cm, falling to 0.1 at d = 9 cm.
 """
 
 from typing import ClassVar
@@ -18,8 +21,8 @@ from manip.rewards.kernels import near, tolerance
 from manip.sim.scene import Scene
 from manip.sim.sensors import Sensors
 from manip.tasks.arm import observe_arm, start_qpos
-from manip.tasks.experts.motion import towards
-from manip.tasks.scenes.reach import GOAL_HIGH, GOAL_LOW, REACHED
+from manip.tasks.experts.motion import move_action
+from manip.tasks.scenes.reach_scene import GOAL_HIGH, GOAL_LOW, SUCCESS_DISTANCE
 
 Array = np.ndarray
 
@@ -53,7 +56,7 @@ class Reach(Task):
         }
 
     def observe(self, m: Measures) -> dict[str, Array]:
-        """The arm, then the goal: place, and offset from the tool."""
+        """The arm, then the goal: position, and offset from the tool."""
         centre = (GOAL_LOW + GOAL_HIGH) / 2
         return {
             **observe_arm(m, centre),
@@ -72,12 +75,12 @@ class Reach(Task):
 
     def success(self, m: Measures) -> Array:
         """The tool is within 2 cm of the goal."""
-        return m["distance"] < REACHED
+        return m["distance"] < SUCCESS_DISTANCE
 
     def expert(self, m: Measures) -> Array:
-        """Straight to the goal."""
-        return towards(m["to_goal"], np.ones(len(m["to_goal"])))
+        """Move straight to the goal."""
+        return move_action(m["to_goal"], np.ones(len(m["to_goal"])))
 
     def milestones(self, m: Measures) -> dict[str, Array]:
-        """near: within 10 cm; reach: within 2 cm."""
+        """near: tool within 10 cm of the goal; reach: success."""
         return {"near": m["distance"] < 0.1, "reach": self.success(m)}

@@ -1,4 +1,4 @@
-"""Tasks and compiled scenes, each built once: a stock robosuite takes 2 s."""
+"""Tasks and compiled scenes, each built once, because robosuite takes 0.5 to 2 s."""
 
 from collections.abc import Callable
 
@@ -18,22 +18,24 @@ SceneOf = Callable[..., Scene]
 
 @pytest.fixture(scope="session")
 def scene_of() -> SceneOf:
-    """The exact or fast scene of a task on a Panda, whose stock environment it shares.
+    """A function that gives the exact or fast scene of a task on a Panda.
 
-    Whoever steps or resets `scene.stock` leaves it as it lies: start with a reset.
+    Scenes share the stock environment `scene.stock`. Reset it before use: other tests
+    leave it in any state.
     """
     stocks, scenes = {}, {}
 
     def scene_of(
         task: Task, controller: str = "OSC_POSE", fidelity: Fidelity = "exact"
     ) -> Scene:
-        rig = task.robosuite_name, controller
-        key = type(task), *rig, fidelity
-        if rig not in stocks:
-            stocks[rig] = make_stock(rig[0], RobotConfig(controller=controller), seed=3)
+        stock_key = task.robosuite_name, controller
+        key = type(task), *stock_key, fidelity
+        if stock_key not in stocks:
+            robot = RobotConfig(controller=controller)
+            stocks[stock_key] = make_stock(task.robosuite_name, robot, seed=3)
         if key not in scenes:
             scenes[key] = build_scene(
-                stocks[rig], task.sensors, control_freq=20, fidelity=fidelity
+                stocks[stock_key], task.sensors, control_freq=20, fidelity=fidelity
             )
         return scenes[key]
 

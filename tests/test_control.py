@@ -182,7 +182,7 @@ def test_away_from_the_goal_the_tool_is_pulled_to_it(seed: int) -> None:
 
 def osc(mass: Array, jac: Array, wrench: Array, pull: Array, bias: Array) -> Array:
     w = new_work(7)
-    w.mass[:], w.jac[:], w.pull[:], w.bias[:] = mass, jac, pull, bias
+    w.mass[:], w.jac[:], w.joint_acc[:], w.bias[:] = mass, jac, pull, bias
     w.force[:], w.moment[:] = wrench[:3], wrench[3:]
     osc_torque(w)
     return w.torque
@@ -219,7 +219,7 @@ def test_joint_torques_give_the_acceleration_asked(seed: int) -> None:
     mass, _, rng = an_arm(seed)
     acceleration, bias = rng.normal(size=(2, 7))
     w = new_work(7)
-    w.mass[:], w.pull[:], w.bias[:] = mass, acceleration, bias
+    w.mass[:], w.joint_acc[:], w.bias[:] = mass, acceleration, bias
     joint_torque(w)
     found = np.linalg.solve(mass, w.torque - bias)
     np.testing.assert_allclose(found, acceleration, rtol=1e-9)

@@ -11,6 +11,7 @@ import pytest
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Task
 from manip.errors import UserError
+from manip.robot_config import RobotConfig
 from manip.sim.batch_engine import BatchEngine
 from manip.sim.robosuite_factory import make_stock
 from manip.sim.scene import Scene, build_scene
@@ -154,7 +155,7 @@ def test_hidden_controller_state_steers(
     """Else the test above would say nothing."""
     engine = started(lift, lift_scene, 2)
     engine.restore(engine.save([0, 0]))
-    engine.states[1, engine.field_columns(hidden)] += 0.4
+    engine.states[1, engine.state_columns(hidden)] += 0.4
     run(engine, np.zeros((3, 2, 7)))
     one, other = engine.read()["qpos"]
     assert np.abs(one - other).max() > 1e-3
@@ -200,10 +201,13 @@ def test_fields_belong_to_a_world(reach: Task, reach_scene: Scene) -> None:
     np.testing.assert_array_equal(engine.read()["goal_place"], goals)
 
 
-def test_a_reset_without_fields_keeps_them(reach: Task, reach_scene: Scene) -> None:
-    engine = started(reach, reach_scene, 2)
-    goals = engine.read()["goal_pos"].copy()
-    engine.reset(np.arange(2), engine.read()["qpos"].copy())
+def test_a_reset_without_fields_takes_the_models(
+    reach: Task, reach_scene: Scene
+) -> None:
+    engine, fresh = started(reach, reach_scene, 2), BatchEngine(reach_scene, 2)
+    goals = fresh.read()["goal_pos"]
+    assert (engine.read()["goal_pos"] != goals).any()
+    engine.reset(np.arange(2), engine.read()["qpos"])
     np.testing.assert_array_equal(engine.read()["goal_pos"], goals)
 
 
@@ -429,7 +433,7 @@ def test_fast_moves_as_exact_does(scene_of, lift: Task, lift_scene: Scene) -> No
 
 def test_the_shape_of_an_action_is_checked(lift_scene: Scene) -> None:
     engine = BatchEngine(lift_scene, 2)
-    text = r"action has shape \(3, 7\), the engine needs \(2, 7\)"
+    text = r"action has shape \(3, 7\), expected \(2, 7\), that is \(num_envs"
     with pytest.raises(UserError, match=text):
         engine.step(np.zeros((3, 7)))
 
@@ -480,12 +484,22 @@ def test_unknown_sensors_list_what_exists(
     ("asked", "text"),
     [
         ({"name": "Lft"}, "unknown robosuite environment 'Lft': did you mean 'Lift'"),
-        ({"robot": "panda7"}, "unknown robot 'panda7'.*'Panda'.*known robots: IIWA"),
-        ({"controller": "OSC"}, "unknown controller 'OSC'.*JOINT_POSITION, OSC_POSE"),
-        ({"control_freq": 30}, "control frequency 30 Hz.*10, 20, 25, 50, 100 Hz"),
+        (
+            {"robot": RobotConfig("panda7")},
+            "unknown robot 'panda7'.*'Panda'.*known robots: IIWA",
+        ),
+        (
+            {"robot": RobotConfig(controller="OSC")},
+            "unknown controller 'OSC'.*JOINT_POSITION, OSC_POSE",
+        ),
+        (
+            {"robot": RobotConfig(control_freq=30)},
+            "control_freq 30 is not supported: choose one of 10, 20, 25, 50, 100 Hz",
+        ),
+        ({"robot": "Panda"}, r"robot must be RobotConfig\(arm, .* not 'Panda'"),
     ],
 )
-def test_unknown_rigs_list_what_exists(asked: dict, text: str) -> None:
+def test_unknown_robots_list_what_exists(asked: dict, text: str) -> None:
     with pytest.raises(UserError, match=text):
         make_stock(**({"name": "Lift"} | asked))
 

@@ -1,4 +1,4 @@
-"""Push and PickGoal: what they pay, and where they start, in their own numbers."""
+"""Push and PickGoal: rewards and start states, in the numbers of their docstrings."""
 
 import numpy as np
 import pytest
@@ -14,15 +14,18 @@ from manip.tasks.push import Push
 Array = np.ndarray
 
 FAR = 1 - np.tanh(1)
-"""What reach pays at 20 cm in the shaped reward, and at 10 cm in the stock one."""
+"""The reach term at 20 cm in the shaped reward, and at 10 cm in the stock one."""
 
 
-def paid(task: Task, m: Measures, reward: str) -> Array:
+def reward_of(task: Task, m: Measures, reward: str) -> Array:
     return weighted_sum(task.reward_terms(m, reward), task.weights[reward])
 
 
 def readings(cube: Array, goal: Array, tool: Array, touch: Array) -> Measures:
-    """Cubes, goals and tools [N, 3] m; both pads touch or none; the gripper is shut."""
+    """Readings of cubes, goals and tools at [N, 3] m, the gripper closed.
+
+    touch [N]: whether both finger pads touch the cube.
+    """
     return {
         "cube_pos": np.array(cube, float),
         "goal_pos": np.array(goal, float),
@@ -33,7 +36,7 @@ def readings(cube: Array, goal: Array, tool: Array, touch: Array) -> Measures:
     }
 
 
-def test_push_pays_as_its_docstring_says() -> None:
+def test_push_pays_as_documented() -> None:
     """Far tool; far goal; within its margin; at it; at it, in the air."""
     gap = np.array([0.2, 0.2, 0.06, 0.0, 0.0])
     height = np.array([0.02, 0.02, 0.02, 0.02, 0.031])
@@ -45,14 +48,14 @@ def test_push_pays_as_its_docstring_says() -> None:
     near = 0.3 * (1 - np.tanh(0.3))
     empty = [0.15 * FAR + 0.3 * FAR, 0.15 + 0.3 * FAR]
     shaped = [*empty, 0.35 + near + 0.35 * 0.1, 1, 0.65 + 0.35 * 0.78]
-    np.testing.assert_allclose(paid(task, m, "shaped"), shaped)
+    np.testing.assert_allclose(reward_of(task, m, "shaped"), shaped)
     assert task.success(m).tolist() == [False, False, False, True, False]
     far, middle = 1 - np.tanh(2), 1 - np.tanh(0.6)
     stock = [0.75 * far, 0.25 + 0.5 * far, 0.25 + 0.5 * middle, 1, 0.75]
-    np.testing.assert_allclose(paid(task, m, "stock"), stock)
+    np.testing.assert_allclose(reward_of(task, m, "stock"), stock)
 
 
-def test_pick_goal_pays_as_its_docstring_says() -> None:
+def test_pick_goal_pays_as_documented() -> None:
     """Far tool; pressed from above; held on the table; lifted; near; at the goal."""
     height = np.array([0.02, 0.02, 0.02, 0.045, 0.2, 0.2])
     gap = np.array([0.2, 0.2, 0.2, 0.2, 0.06, 0.0])
@@ -64,12 +67,12 @@ def test_pick_goal_pays_as_its_docstring_says() -> None:
     near = 0.5 + 0.25 * (1 - np.tanh(0.3)) + 0.25 * 0.1
     above = 0.15 * (1 - np.tanh(0.15))
     shaped = [0.15 * FAR, above, 0.35, 0.35 + 0.5 * (0.15 + 0.25 * FAR), near, 1]
-    np.testing.assert_allclose(paid(task, m, "shaped"), shaped, rtol=1e-6)
+    np.testing.assert_allclose(reward_of(task, m, "shaped"), shaped, rtol=1e-6)
     assert task.success(m).tolist() == [False] * 5 + [True]
     far, middle = 1 - np.tanh(2), 1 - np.tanh(0.6)
     pressed = 0.25 * (1 - np.tanh(0.3)) + 0.25 + 0.25 * far
     stock = [0.25 * far, pressed, *[0.5 + 0.25 * far] * 2, 0.5 + 0.25 * middle, 1]
-    np.testing.assert_allclose(paid(task, m, "stock"), stock)
+    np.testing.assert_allclose(reward_of(task, m, "stock"), stock)
 
 
 @pytest.mark.parametrize(
@@ -79,13 +82,13 @@ def test_pick_goal_pays_as_its_docstring_says() -> None:
         ("PickGoal", [-0.12, -0.2, 0.9], [0.12, 0.2, 1.1], 0.0),
     ],
 )
-def test_starts_are_where_the_docstring_says(
+def test_starts_are_where_documented(
     name: str, low: list[float], high: list[float], apart: float, scene_of
 ) -> None:
     task = load_task(name)
     scene: Scene = scene_of(task)
-    worlds = np.arange(500)
-    qpos, fields = task.sample_start(scene, EpisodeStreams(0, worlds, worlds))
+    env_ids = np.arange(500)
+    qpos, fields = task.sample_start(scene, EpisodeStreams(0, env_ids, env_ids))
     goal, cube = fields["goal_place"], qpos[:, scene.free_qpos("cube_main")]
     np.testing.assert_allclose(goal.min(axis=0), low, atol=0.01)
     np.testing.assert_allclose(goal.max(axis=0), high, atol=0.01)

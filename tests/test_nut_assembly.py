@@ -1,4 +1,4 @@
-"""NutAssembly: the numbers that its docstring states."""
+"""NutAssembly: rewards and start states, in the numbers of its docstrings."""
 
 import numpy as np
 import pytest
@@ -13,8 +13,10 @@ DOWNWARDS = np.array([0.0, 1, 0, 1, 0, 0, 0, 0, -1])
 """A tool that points down, its fingers closing along y."""
 
 
-def milestones(task: NutAssembly) -> dict[str, np.ndarray]:
-    """Far, near, grasped, half up, above, at the top, held on the peg, opened, in."""
+def stage_measures(task: NutAssembly) -> dict[str, np.ndarray]:
+    """Measures of nine stages: far, near, grasped, half up, above the peg, at its top,
+    grasped on the peg, half opened there, down and released.
+    """
     heights = [0.83, 0.83, 0.83, 0.90, 0.97, 0.96, 0.94, 0.94, 0.83]
     nut = np.tile(PEG, (9, 1)) - np.outer([0.3] * 4 + [0] * 5, [1, 0, 0])
     nut[:, 2] = heights
@@ -35,9 +37,9 @@ def milestones(task: NutAssembly) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("cls", [NutAssemblyRound, NutAssemblySquare])
-def test_it_pays_as_its_docstring_says_and_more_each_stage(cls) -> None:
+def test_it_pays_as_documented_and_more_each_stage(cls) -> None:
     task, tanh = cls(), np.tanh
-    m = milestones(task)
+    m = stage_measures(task)
     shaped = weighted_sum(task.reward_terms(m, "shaped"), task.weights["shaped"])
     beside = 0.6 * (1 - 0.3 / 0.5) + 0.4 * (1 - tanh(10))
     half_up = 0.3 + 0.75 * (0.15 + 0.25 * beside)
@@ -46,14 +48,14 @@ def test_it_pays_as_its_docstring_says_and_more_each_stage(cls) -> None:
     np.testing.assert_allclose(shaped, low + top)
     assert (np.diff(shaped) > 0).all()
     assert task.success(m).tolist() == [False] * 8 + [True]
-    reached = task.milestones(m)
-    counts = np.sum([reached[name] for name in task.milestone_names], axis=0)
+    flags = task.milestones(m)
+    counts = np.sum([flags[name] for name in task.milestone_names], axis=0)
     assert counts.tolist() == [0, 1, 2, 3, 4, 4, 4, 4, 3]
 
 
 def test_the_stock_reward_counts_from_the_higher_nut() -> None:
     task = NutAssemblySquare()
-    m = milestones(task)
+    m = stage_measures(task)
     tanh, far = np.tanh, 0.2 * (1 - np.tanh(3))
     lift = [0.35 + 0.15 * (1 - tanh(15 * (0.995 - z))) for z in (0.83, 0.9, 0.97)]
     first = [max(0.1 * (1 - tanh(2)), far), 0.1, lift[0] + far, lift[1] + far]
@@ -68,22 +70,22 @@ def test_the_stock_reward_counts_from_the_higher_nut() -> None:
 
 def test_a_square_nut_that_is_turned_earns_less_above_its_peg() -> None:
     turned = np.pi / 8
-    paid = {}
+    over = {}
     for cls in NutAssemblyRound, NutAssemblySquare:
         task = cls()
-        m = milestones(task)
+        m = stage_measures(task)
         quat = np.tile([np.cos(turned / 2), 0, 0, np.sin(turned / 2)], (9, 1))
         terms = task.reward_terms(task.measure({**m, "nut_quat": quat}), "shaped")
-        paid[cls] = terms["over"][4]
-    assert paid[NutAssemblyRound] == pytest.approx(1)
-    assert paid[NutAssemblySquare] == pytest.approx(0.6 + 0.4 / 2)
+        over[cls] = terms["over"][4]
+    assert over[NutAssemblyRound] == pytest.approx(1)
+    assert over[NutAssemblySquare] == pytest.approx(0.6 + 0.4 / 2)
 
 
 @pytest.mark.parametrize("cls", [NutAssemblyRound, NutAssemblySquare])
-def test_nuts_start_where_it_says(cls, scene_of) -> None:
-    task, worlds = cls(), np.arange(500)
+def test_nuts_start_where_documented(cls, scene_of) -> None:
+    task, env_ids = cls(), np.arange(500)
     scene = scene_of(task)
-    qpos = task.sample_start(scene, EpisodeStreams(0, worlds, worlds)).qpos
+    qpos = task.sample_start(scene, EpisodeStreams(0, env_ids, env_ids)).qpos
     nut, other = (qpos[:, scene.free_qpos(body)] for body in (task.nut, task.other))
     low, high = nut[:, :3].min(axis=0), nut[:, :3].max(axis=0)
     inner, outer = sorted([task.side * 0.11, task.side * 0.225])

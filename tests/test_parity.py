@@ -16,10 +16,10 @@ from manip.robot_config import CONTROL_FREQUENCIES, CONTROLLERS, ROBOTS, RobotCo
 from manip.sim.batch_engine import BatchEngine
 from manip.sim.scene import Scene, load_scene
 from manip.sim.stock_reader import stock_reader
-from manip.tasks.dirt import MARKERS
-from manip.tasks.hanging import BASE, CORNER
 from manip.tasks.tool_hang import ToolHang
+from manip.tasks.tool_hang_measures import BASE, CORNER
 from manip.tasks.wipe import TABLE
+from manip.tasks.wipe_markers import MARKERS
 
 Array = np.ndarray
 

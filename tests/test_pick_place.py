@@ -1,4 +1,4 @@
-"""PickPlace: the numbers that its docstring states."""
+"""PickPlace: rewards and start states, in the numbers of its docstrings."""
 
 import mujoco
 import numpy as np
@@ -8,19 +8,21 @@ from manip.envs.episode_streams import EpisodeStreams
 from manip.rewards.compose import weighted_sum
 from manip.sim.batch_engine import BatchEngine
 from manip.tasks.pick_place import (
-    ITEMS,
     PickPlace,
     PickPlaceBread,
     PickPlaceCan,
     PickPlaceCereal,
     PickPlaceMilk,
 )
+from manip.tasks.pick_place_items import ITEMS
 
 TASKS = (PickPlaceBread, PickPlaceCan, PickPlaceCereal, PickPlaceMilk)
 
 
-def milestones(task: PickPlace) -> dict[str, np.ndarray]:
-    """Far, near, grasped, 8 cm up, up, over, opened there, just let go, inside."""
+def stage_measures(task: PickPlace) -> dict[str, np.ndarray]:
+    """Measures of nine stages: far, near, grasped, 8 cm up, 20 cm up, over its place,
+    half opened there, just released there, inside.
+    """
     item = ITEMS[task.item]
     place = np.array([*item.place, 0.0])
     offsets = np.zeros((9, 3))
@@ -43,38 +45,38 @@ def milestones(task: PickPlace) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("cls", TASKS)
-def test_it_pays_as_its_docstring_says_and_more_each_stage(cls) -> None:
+def test_it_pays_as_documented_and_more_each_stage(cls) -> None:
     task, tanh = cls(), np.tanh
-    m, item = milestones(task), ITEMS[cls.item]
+    m, item = stage_measures(task), ITEMS[cls.item]
     shaped = weighted_sum(task.reward_terms(m, "shaped"), task.weights["shaped"])
     carried = 0.25 * (1 - 0.5 / 0.75)
-    held = [0.25, 0.25 + 0.4 * (0.15 + carried), 0.4 + carried, 0.7, 0.75]
-    gone = 0.8 + 0.2 * 0.5 * np.clip(item.grip / (np.arctanh(0.4) / 10), 0, 1)
-    expected = [0.1 * (1 - tanh(1)), 0.1, *held, gone, 1]
+    grasped = [0.25, 0.25 + 0.4 * (0.15 + carried), 0.4 + carried, 0.7, 0.75]
+    released = 0.8 + 0.2 * 0.5 * np.clip(item.grip / (np.arctanh(0.4) / 10), 0, 1)
+    expected = [0.1 * (1 - tanh(1)), 0.1, *grasped, released, 1]
     np.testing.assert_allclose(shaped, expected)
     assert (np.diff(shaped) > 0).all()
     assert task.success(m).tolist() == [False] * 8 + [True]
 
 
-def test_a_gripper_closed_around_nothing_reaches_for_half() -> None:
+def test_an_empty_closed_gripper_earns_half_of_reach() -> None:
     task = PickPlaceCan()
-    m = milestones(task)
+    m = stage_measures(task)
     m["gripper_closing"] = np.ones(9)
     reach = task.reward_terms(m, "shaped")["reach"]
     np.testing.assert_allclose(reach[:3], [0.5 * (1 - np.tanh(1)), 0.5, 1])
 
 
 @pytest.mark.parametrize("cls", TASKS)
-def test_stages_are_reached_one_after_the_other(cls) -> None:
+def test_milestones_come_one_after_the_other(cls) -> None:
     task = cls()
-    reached = task.milestones(milestones(task))
-    first = [int(np.argmax(reached[name])) for name in task.milestone_names]
+    flags = task.milestones(stage_measures(task))
+    first = [int(np.argmax(flags[name])) for name in task.milestone_names]
     assert first == [1, 2, 4, 5, 5, 8]
 
 
 def test_the_stock_reward_counts_from_the_highest_object() -> None:
     task, tanh = PickPlaceCan(), np.tanh
-    m = milestones(task)
+    m = stage_measures(task)
     weights = task.weights["stock"]
     stock = weighted_sum(task.reward_terms(m, "stock"), weights)
     far = 0.2 * (1 - tanh(5))
@@ -101,31 +103,31 @@ def test_boxes_are_those_of_the_meshes(cls, scene_of) -> None:
 
 
 @pytest.mark.parametrize("cls", TASKS)
-def test_objects_start_where_it_says(cls, scene_of) -> None:
-    task, worlds = cls(), np.arange(500)
+def test_objects_start_where_documented(cls, scene_of) -> None:
+    task, env_ids = cls(), np.arange(500)
     scene = scene_of(task)
-    qpos = task.sample_start(scene, EpisodeStreams(0, worlds, worlds)).qpos
-    found = {name: qpos[:, scene.free_qpos(f"{name}_main")] for name in ITEMS}
-    mine, item = found.pop(cls.item), ITEMS[cls.item]
+    qpos = task.sample_start(scene, EpisodeStreams(0, env_ids, env_ids)).qpos
+    others = {name: qpos[:, scene.free_qpos(f"{name}_main")] for name in ITEMS}
+    own, item = others.pop(cls.item), ITEMS[cls.item]
     spread = np.array([0.145, 0.195]) - item.radius
-    inside = np.abs(mine[:, :2] - [0.1, -0.25]).max(axis=0)
+    inside = np.abs(own[:, :2] - [0.1, -0.25]).max(axis=0)
     assert (inside <= spread).all()
     np.testing.assert_allclose(inside, spread, atol=0.003)
-    np.testing.assert_allclose(mine[:, 2], 0.8 + item.stand)
+    np.testing.assert_allclose(own[:, 2], 0.8 + item.stand)
     parked = np.tile([10.0, 10, 10, 1, 0, 0, 0], (500, 1))
-    for other in found.values():
+    for other in others.values():
         np.testing.assert_array_equal(other, parked)
 
 
 def test_the_floor_holds_parked_objects_in_exact_physics_only(scene_of) -> None:
-    task, low = PickPlaceCan(), {}
+    task, height = PickPlaceCan(), {}
     for fidelity in "exact", "fast":
         engine = BatchEngine(scene_of(task, fidelity=fidelity), 1)
         start = task.sample_start(engine.scene, EpisodeStreams(0, [0], [0]))
         engine.reset(np.arange(1), *start)
         for _ in range(50):
             engine.step(np.zeros((1, 7)))
-        low[fidelity] = engine.read()["other_Milk_pos"][0, 2]
+        height[fidelity] = engine.read()["other_Milk_pos"][0, 2]
         assert engine.read()["object_pos"][0, 2] == pytest.approx(0.86, abs=2e-3)
-    assert 0 < low["exact"] < 0.1
-    assert low["fast"] < -1
+    assert 0 < height["exact"] < 0.1
+    assert height["fast"] < -1

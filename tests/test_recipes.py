@@ -8,11 +8,11 @@ import pytest
 import yaml
 from training_runs import tiny
 
+from manip.agents.registry import algorithm_names, load_algorithm
 from manip.envs.task_registry import load_task, task_names
 from manip.errors import UserError
 from manip.programs import train
 from manip.training.config import (
-    ALGORITHMS,
     from_dict,
     recipe,
     recipe_names,
@@ -27,7 +27,7 @@ def test_every_recipe_loads_for_the_task_and_algorithm_it_is_named_after() -> No
         names = {known.lower(): known for known in task_names()}
         config = recipe(names.get(task, task), algo)
         assert config != recipe("a task without a recipe", algo), name
-        assert isinstance(config.agent, ALGORITHMS[algo])
+        assert isinstance(config.agent, load_algorithm(algo).Config)
         assert load_task(config.task).name.lower() == task
         assert config.eval_every <= config.steps
 
@@ -41,9 +41,10 @@ def test_a_recipe_may_have_other_options_for_some_arms() -> None:
     assert train._defaults(["--algo", "bc", "--robot", "Jaco"]) == jaco
 
 
-@pytest.mark.parametrize("algo", sorted(ALGORITHMS))
+@pytest.mark.parametrize("algo", algorithm_names())
 def test_options_survive_yaml(algo: str, tmp_path: Path) -> None:
-    widths = next(o.name for o in fields(ALGORITHMS[algo]) if o.name.endswith("hidden"))
+    options = fields(load_algorithm(algo).Config)
+    widths = next(o.name for o in options if o.name.endswith("hidden"))
     config = tiny(algo, tmp_path / "run", seed=3, agent={widths: [8, 8]})
     assert from_dict(yaml.safe_load(yaml.safe_dump(to_dict(config)))) == config
 

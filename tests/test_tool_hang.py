@@ -1,4 +1,4 @@
-"""ToolHang: when its parts stand and hang, and the numbers its docstring states."""
+"""ToolHang: its tests of success, and the numbers of its docstrings."""
 
 from typing import Any
 
@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from manip.envs.episode_streams import EpisodeStreams
 from manip.rewards.compose import weighted_sum
 from manip.sim.stock_reader import stock_reader
-from manip.tasks.tool_hang import FINGERS, ToolHang
+from manip.tasks.tool_hang import ToolHang
+from manip.tasks.tool_hang_measures import FINGERS
 
 Array = np.ndarray
 
@@ -27,37 +28,40 @@ def stock(scene_of) -> Any:
     return stock
 
 
-def put(stock: Any, **poses: tuple[Array, Rotation]) -> None:
-    for name, (place, turn) in poses.items():
-        pose = np.concatenate([place, turn.as_quat(scalar_first=True)])
+def place(stock: Any, **poses: tuple[Array, Rotation]) -> None:
+    for name, (position, turn) in poses.items():
+        pose = np.concatenate([position, turn.as_quat(scalar_first=True)])
         stock.sim.data.set_joint_qpos(f"{name}_joint0", pose)
     stock.sim.forward()
 
 
 def shaken(pose: tuple[Array, Rotation], rng: np.random.Generator):
-    place, turn = pose
+    position, turn = pose
     shake = Rotation.from_rotvec(rng.normal(0, 0.07, 3))
-    return place + rng.normal(0, 0.0025, 3), shake * turn
+    return position + rng.normal(0, 0.0025, 3), shake * turn
 
 
-def test_it_stands_and_hangs_where_stock_says_so(stock: Any) -> None:
+def test_it_stands_and_hangs_where_it_does_in_stock(stock: Any) -> None:
     task, rng = ToolHang(), np.random.default_rng(0)
-    read, found = stock_reader(stock, task.sensors), []
+    read, results = stock_reader(stock, task.sensors), []
     for _ in range(150):
         poses = {"frame": STANDING, "tool": HANGING, "stand": UPRIGHT}
-        put(stock, **{name: shaken(pose, rng) for name, pose in poses.items()})
+        place(stock, **{name: shaken(pose, rng) for name, pose in poses.items()})
         m = task.measure(read())
         ours = m["assembled"][0], m["hung"][0], task.success(m)[0]
         parts = stock._check_frame_assembled(), stock._check_tool_on_frame()
         assert ours == (*parts, stock._check_success())
-        found.append(ours)
-    share = np.mean(found, axis=0)
+        results.append(ours)
+    share = np.mean(results, axis=0)
     assert ((share > 0.02) & (share < 0.98)).all()
 
 
-def observe(stock: Any, frame, tool, at: Array, closing: float, touch: str = ""):
-    """Measures with the gripper at `at`, which touches the `touch` from both sides."""
-    put(stock, stand=UPRIGHT, frame=frame, tool=tool)
+def measure(stock: Any, frame, tool, at: Array, closing: float, touch: str = ""):
+    """Measures with the gripper at `at`.
+
+    touch: "frame" or "tool", if both finger pads touch one of them.
+    """
+    place(stock, stand=UPRIGHT, frame=frame, tool=tool)
     task = ToolHang()
     read = stock_reader(stock, task.sensors)()
     pads = {f"frame_{side}": float(touch == "frame") for side in ("left", "right")}
@@ -66,7 +70,7 @@ def observe(stock: Any, frame, tool, at: Array, closing: float, touch: str = "")
     return task.measure({**read, **pads, **hand, "hole_touch": np.ones(1)})
 
 
-def test_it_pays_as_its_docstring_says_and_more_each_stage(stock: Any) -> None:
+def test_it_pays_as_documented_and_more_each_stage(stock: Any) -> None:
     def grip(frame: tuple[Array, Rotation]) -> Array:
         return frame[0] + frame[1].apply([0.04375, 0, 0.0525])
 
@@ -74,44 +78,44 @@ def test_it_pays_as_its_docstring_says_and_more_each_stage(stock: Any) -> None:
     above, half = ((place + (0.15 - z) * up, turn) for z in (0.0, 0.075))
     raised = ON_TABLE[0] + 0.1 * up, ON_TABLE[1]
     ms = [
-        observe(stock, LYING, ON_TABLE, grip(LYING) + 0.2 * up, -1),
-        observe(stock, LYING, ON_TABLE, grip(LYING), -1),
-        observe(stock, LYING, ON_TABLE, grip(LYING), 1, "frame"),
-        observe(stock, above, ON_TABLE, grip(above), 1, "frame"),
-        observe(stock, half, ON_TABLE, grip(half), 1, "frame"),
-        observe(stock, STANDING, ON_TABLE, grip(STANDING), 1, "frame"),
-        observe(stock, STANDING, ON_TABLE, ON_TABLE[0], -1),
-        observe(stock, STANDING, raised, raised[0], 1, "tool"),
-        observe(stock, STANDING, HANGING, HANGING[0], 1, "tool"),
-        observe(stock, STANDING, HANGING, HANGING[0], 0, "tool"),
-        observe(stock, STANDING, HANGING, HANGING[0], -1),
+        measure(stock, LYING, ON_TABLE, grip(LYING) + 0.2 * up, -1),
+        measure(stock, LYING, ON_TABLE, grip(LYING), -1),
+        measure(stock, LYING, ON_TABLE, grip(LYING), 1, "frame"),
+        measure(stock, above, ON_TABLE, grip(above), 1, "frame"),
+        measure(stock, half, ON_TABLE, grip(half), 1, "frame"),
+        measure(stock, STANDING, ON_TABLE, grip(STANDING), 1, "frame"),
+        measure(stock, STANDING, ON_TABLE, ON_TABLE[0], -1),
+        measure(stock, STANDING, raised, raised[0], 1, "tool"),
+        measure(stock, STANDING, HANGING, HANGING[0], 1, "tool"),
+        measure(stock, STANDING, HANGING, HANGING[0], 0, "tool"),
+        measure(stock, STANDING, HANGING, HANGING[0], -1),
     ]
     task = ToolHang()
     terms = [task.reward_terms(m, "shaped") for m in ms]
-    paid = [weighted_sum(each, task.weights["shaped"])[0] for each in terms]
+    reward = [weighted_sum(each, task.weights["shaped"])[0] for each in terms]
     length = {name: [np.linalg.norm(m[name]) for m in ms] for name in ms[0]}
     over = 0.05 * (1 - np.tanh(length["to_mouth"][2] / 0.1))
     reach = 0.05 * (1 - np.tanh(5 * length["tool_distance"][5]))
     carry = 0.15 * (1 - np.tanh(5 * length["to_hook"][7]))
     frame = [0.05 * (1 - np.tanh(1)), 0.05, 0.15 + over, 0.3, 0.4, 0.5 + reach]
-    np.testing.assert_allclose(paid[:6], frame, atol=1e-4)
+    np.testing.assert_allclose(reward[:6], frame, atol=1e-4)
     tool = [0.6, 0.7 + carry, 0.9, 0.925, 1]
-    np.testing.assert_allclose(paid[6:], tool, atol=1e-4)
-    assert (np.diff(paid) > 0).all()
+    np.testing.assert_allclose(reward[6:], tool, atol=1e-4)
+    assert (np.diff(reward) > 0).all()
     assert [bool(task.success(m)[0]) for m in ms] == [False] * 10 + [True]
 
 
-def test_things_start_where_it_says(scene_of) -> None:
-    task, worlds = ToolHang(), np.arange(500)
+def test_parts_start_where_documented(scene_of) -> None:
+    task, env_ids = ToolHang(), np.arange(500)
     scene = scene_of(task)
-    qpos = task.sample_start(scene, EpisodeStreams(0, worlds, worlds)).qpos
+    qpos = task.sample_start(scene, EpisodeStreams(0, env_ids, env_ids)).qpos
     stand, frame, tool = (
         qpos[:, scene.free_qpos(f"{name}_root")] for name in ("stand", "frame", "tool")
     )
     assert np.ptp(stand, axis=0).max() == 0
-    for found, mean in (frame, [-0.04, -0.24]), (tool, [0.04, -0.2]):
-        assert np.abs(found[:, :2] - mean).max() <= 0.02
-        np.testing.assert_allclose(np.ptp(found[:, :2], axis=0), 0.04, atol=1e-3)
+    for pose, mean in (frame, [-0.04, -0.24]), (tool, [0.04, -0.2]):
+        assert np.abs(pose[:, :2] - mean).max() <= 0.02
+        np.testing.assert_allclose(np.ptp(pose[:, :2], axis=0), 0.04, atol=1e-3)
     turn = Rotation.from_quat(frame[:, 3:], scalar_first=True)
     flat = turn.apply([0, 1, 0])
     np.testing.assert_allclose(np.abs(flat[:, 2]), 1, atol=1e-12)

@@ -52,7 +52,7 @@ def contest(settings: Settings) -> Contest:
             "fast_all_threads_vs_stock": (f"engine, fast, {all_threads}", stock),
             "all_threads_vs_one": (exact_all, "engine, exact, 1 thread"),
         },
-        facts={"memory_per_world_kib": every.bytes_per_world / 1024},
+        facts={"memory_per_world_kib": every.bytes_per_env / 1024},
     )
 
 

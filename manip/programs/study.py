@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 import tyro
 from rich.console import Console
 
+from manip.agents.registry import algorithm_names
 from manip.envs.task_registry import load_task
 from manip.errors import UserError, at_least
 from manip.io.atomic_files import write_text
@@ -23,7 +24,6 @@ from manip.studies.learning import (
     clipping_variants,
     evaluations,
 )
-from manip.training.config import ALGORITHMS
 
 Measured = Callable[["Study"], list[Any]]
 Pictures = Mapping[str, Callable[[Sequence[Any], Path], None]]
@@ -47,7 +47,7 @@ class Study:
     """Which study."""
     tasks: tuple[str, ...] = ("Reach",)
     """Tasks; each but `algorithms` takes the first."""
-    algos: tuple[str, ...] = tuple(algo for algo in ALGORITHMS if algo != "bc")
+    algos: tuple[str, ...] = tuple(algo for algo in algorithm_names() if algo != "bc")
     """What `algorithms` compares; all that learn from rewards unless given."""
     seeds: int = 3
     """Runs of each variant, with seeds 0, 1, ..."""

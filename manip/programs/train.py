@@ -9,12 +9,17 @@ from pathlib import Path
 
 import tyro
 
-from manip.envs.backends.external_batch import ExternalTask
-from manip.envs.task_registry import check_origin, load_task
-from manip.errors import UserError, check_choice, unknown
+from manip.envs.external_task import ExternalTask
+from manip.envs.task_registry import load_task, load_task_named_by
+from manip.errors import UserError, check_choice
 from manip.programs import cli
 from manip.robot_config import ROBOTS
-from manip.training.config import ALGORITHMS, TrainConfig, recipe, recorded
+from manip.training.config import (
+    TrainConfig,
+    recipe,
+    recorded,
+    scales_other_actions,
+)
 from manip.training.run import train
 from manip.training.terminal import TerminalProgress
 
@@ -29,6 +34,7 @@ class _Start:
     task: str = "Lift"
     algo: str = "sac"
     robot: str | None = None
+    controller: str | None = None
     out: Path | None = None
     resume: bool = False
 
@@ -77,10 +83,13 @@ def _defaults(arguments: Sequence[str]) -> TrainConfig:
             return TrainConfig()  # parsing all options reports the mistake
     if start.resume:
         return _recorded(start.out)
-    if start.algo not in ALGORITHMS:
-        raise unknown("algorithm", start.algo, ALGORITHMS)
     load_task(start.task)
-    return recipe(start.task, start.algo, start.robot)
+    if scales_other_actions(start.task, start.algo, start.controller):
+        print(
+            f"manip: the recipe's action_scale is not used with {start.controller}",
+            file=sys.stderr,
+        )
+    return recipe(start.task, start.algo, start.robot, start.controller)
 
 
 def _recorded(out: Path | None) -> TrainConfig:
@@ -88,5 +97,5 @@ def _recorded(out: Path | None) -> TrainConfig:
     if out is None or not path.is_file():
         raise UserError(f"--resume needs --out with a run folder; there is no {path}")
     config = replace(recorded(out), out=out, resume=True)
-    check_origin(config.task, out)
+    load_task_named_by(out, config.task)
     return config

@@ -34,7 +34,8 @@ def new_work(n: int) -> Work:
     q, qd, q0, mass (M), bias (h), jac (J): as above. tool_p, tool_r: p, R; base_p,
     base_r: b, B. velocity [6]: of the tool, less that of the base site. goal_p, goal_r:
     of the tool in the base frame; goal_q: of the joints. force [3], moment [3]: asked
-    of the tool; pull [n]: acceleration asked of the joints. torque [n]: the result.
+    of the tool; joint_acc [n]: desired acceleration of the joints.
+    torque [n]: the result.
     """
     fields = [
         ("q", float, n), ("qd", float, n), ("q0", float, n),
@@ -42,7 +43,7 @@ def new_work(n: int) -> Work:
         ("tool_p", float, 3), ("tool_r", float, (3, 3)),
         ("base_p", float, 3), ("base_r", float, (3, 3)), ("velocity", float, 6),
         ("goal_p", float, 3), ("goal_r", float, (3, 3)), ("goal_q", float, n),
-        ("force", float, 3), ("moment", float, 3), ("pull", float, n),
+        ("force", float, 3), ("moment", float, 3), ("joint_acc", float, n),
         ("torque", float, n),
         ("turn", float, (3, 3)), ("target", float, (3, 3)),
         ("factor", float, (n, n)), ("x", float, (6, n)),
@@ -155,12 +156,12 @@ def pose_error(kp: float, kd: float, w: Work) -> None:
 
 @kernel
 def joint_torque(w: Work) -> None:
-    """tau = M u + h, u = `pull` [n] the acceleration asked of the joints."""
+    """tau = M u + h, u = `joint_acc` [n] the acceleration asked of the joints."""
     n = len(w.q)
     for i in range(n):
         w.torque[i] = w.bias[i]
         for k in range(n):
-            w.torque[i] += w.mass[i, k] * w.pull[k]
+            w.torque[i] += w.mass[i, k] * w.joint_acc[k]
 
 
 @kernel
@@ -168,7 +169,7 @@ def osc_torque(w: Work) -> None:
     """tau = Jp^T Lp f + Jr^T Lr t + h + M u - J^T L J u.
 
     L = (J M^-1 J^T)^-1, Lp and Lr the same of the linear and angular blocks alone
-    (uncoupled), f = `force`, t = `moment`, u = `pull` the null-space acceleration.
+    (uncoupled), f = `force`, t = `moment`, u = `joint_acc` the null-space acceleration.
     """
     n = len(w.q)
     joint_torque(w)
@@ -176,7 +177,7 @@ def osc_torque(w: Work) -> None:
     for i in range(6):
         w.task[i] = 0.0
         for k in range(n):
-            w.task[i] += w.jac[i, k] * w.pull[k]
+            w.task[i] += w.jac[i, k] * w.joint_acc[k]
     solve(w.inertia[:], w.task[:])
     solve(w.inertia[:], w.force[:])
     solve(w.angular[:], w.moment[:])

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from manip.errors import unknown
 from manip.sim.names import lookup
 from manip.sim.sensors import Sensors
 
@@ -78,25 +77,3 @@ def _joint_slots(model: mujoco.MjModel, name: str, joint: int) -> list[Slot]:
         Slot(f"{name}_qpos", "qpos", int(model.jnt_qposadr[joint]), 1),
         Slot(f"{name}_qvel", "qvel", int(model.jnt_dofadr[joint]), 1),
     ]
-
-
-def field_slot(model: mujoco.MjModel, name: str, array: str, target: str) -> Slot:
-    """Slot of a model field, such as ("geom_friction", "cube_g0").
-
-    Raises:
-        UserError: the array or the object does not exist.
-    """
-    kind = array.split("_")[0]
-    known = [entry for entry in dir(model) if _holds_fields(model, entry)]
-    if array not in known:
-        raise unknown("model array", array, known)
-    size = getattr(model, array)[0].size
-    return Slot(name, array, size * lookup(model, kind, target), size)
-
-
-def _holds_fields(model: mujoco.MjModel, array: str) -> bool:
-    """Whether it is an array of floats with a row for each body, geom or site."""
-    if not array.startswith(("body_", "geom_", "site_")):
-        return False
-    rows = getattr(model, array)
-    return rows.dtype == np.float64 and len(rows) > 0

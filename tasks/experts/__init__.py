@@ -1,4 +1,4 @@
-"""Scripts: a few lines that solve a task, to show that it can be, and to be cloned.
+"""Scripted experts: each solves a task, which proves it solvable, and can be cloned.
 
-Each maps measures [N, ...] to OSC_POSE actions [N, A] and remembers nothing.
+An expert maps measures [N, ...] to OSC_POSE actions [N, A] and keeps no state.
 """

@@ -1,1 +1,1 @@
-"""robosuite environments of our own, for tasks that robosuite lacks."""
+"""robosuite environments for the tasks that robosuite does not have."""
