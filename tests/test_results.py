@@ -10,6 +10,7 @@ from manip.agents import policy as policy_files
 from manip.agents.policy import load_policy, shipped_policies
 from manip.envs.episode_streams import CHOICE, EVALUATION
 from manip.errors import UserError
+from manip.evaluation.comparison import verdict
 from manip.evaluation.episodes import Episode
 from manip.evaluation.results_table import HEADER, markdown, rows
 from manip.evaluation.runners import EpisodeSettings, make_env
@@ -58,7 +59,7 @@ def test_a_shipped_policy_loads_and_has_a_result(name: str) -> None:
 def test_a_shipped_policy_fits_its_task(name: str) -> None:
     card = load_policy(name).card
     env = make_env(
-        EpisodeSettings(card.task, card.robot_config, card.layout, backend="native")
+        EpisodeSettings(card.task, card.robot_config, card.observation, backend="native")
     )
     assert env.batch.action_dim == card.action_dim
 
@@ -95,7 +96,7 @@ def result_of(*held: int, choice: tuple[float, ...] = ()) -> Result:
 )
 def test_recipes_are_compared_over_their_seeds(held, before, expected) -> None:
     stored = Results({}, (result_of(*before),) if before else ())
-    assert reproduce.verdict(result_of(*held), stored) == expected
+    assert verdict(result_of(*held), stored) == expected
 
 
 def test_a_row_says_how_many_seeds_its_interval_covers() -> None:

@@ -87,7 +87,7 @@ class ResumeCheck:
     def _filled_agent(self) -> Agent:
         """An agent like the run's that has stored one rollout, of zeros."""
         batch = self._collector.example().batch
-        options: Any = self._config.agent  # the class of one with a replay buffer
+        options: Any = self._config.agent  # of an algorithm with a replay buffer
         options = replace(options, buffer_size=max(1, batch.numel()))
         agent = build_agent(replace(self._config, agent=options), self._env)
         agent.update(batch)
