@@ -1,4 +1,4 @@
-"""Errors that say what was asked, what exists, and what to do."""
+"""Errors that name what was wrong, what was expected and what exists."""
 
 import reprlib
 from collections.abc import Collection, Iterable
@@ -6,15 +6,15 @@ from difflib import get_close_matches
 from numbers import Integral
 
 MOST = 10**10
-"""Nothing is counted beyond: no machine has memory or time for it."""
+"""Largest count of anything: no machine has memory or time for more."""
 
 
 class UserError(ValueError):
-    """A mistake in what was asked; programs print it as one line and exit with 2."""
+    """A mistake of the user; programs print it as one line and exit with code 2."""
 
 
 class DamagedError(UserError):
-    """A file that is not what was once written."""
+    """A file that was changed since it was written, or is of another kind."""
 
 
 def at_least(least: int, name: str, value: object) -> None:
@@ -30,7 +30,7 @@ _brief.maxstring = _brief.maxother = 200
 
 
 def shown(value: object) -> str:
-    """A value in a few words on one line, however much it holds."""
+    """A value on one line, shortened where it is long."""
     try:
         return " ".join(_brief.repr(value).split())
     except ValueError:  # thousands of digits
@@ -42,28 +42,31 @@ def one_line(error: BaseException) -> str:
     return " ".join(str(error).split())[:200]
 
 
-def unknown(kind: str, asked: object, known: Iterable[str]) -> UserError:
+def unknown(kind: str, name: object, known: Iterable[str]) -> UserError:
     """Build the error for a name that does not exist, with the nearest one that does.
 
     `unknown("task", "Lfit", ["Lift", "Reach"])` reads
     "unknown task 'Lfit': did you mean 'Lift'? known tasks: Lift, Reach".
     """
-    names = {name.casefold(): name for name in known}
-    close = get_close_matches(shown(asked).strip("'").casefold(), names, n=1)
+    names = {item.casefold(): item for item in known}
+    close = get_close_matches(shown(name).strip("'").casefold(), names, n=1)
     hint = f"did you mean {names[close[0]]!r}? " if close else ""
     listing = ", ".join(names.values())
     kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
-    return UserError(f"unknown {kind} {shown(asked)}: {hint}known {kinds}: {listing}")
+    return UserError(f"unknown {kind} {shown(name)}: {hint}known {kinds}: {listing}")
 
 
-def check_choice(kind: str, asked: str, known: Collection[str]) -> None:
-    """Raise `UserError` unless `asked` is one of the `known` names."""
-    if asked not in known:
-        raise unknown(kind, asked, sorted(known))
+def check_choice(kind: str, name: str, known: Collection[str]) -> None:
+    """Raise `UserError` unless `name` is one of the `known` names."""
+    if name not in known:
+        raise unknown(kind, name, sorted(known))
 
 
 def out_of_memory(error: BaseException) -> bool:
-    """Whether an error says that memory ran out, in the words of any allocator."""
+    """Whether an error is that of an allocator, whatever its type.
+
+    torch raises RuntimeError, as does Python where no memory is left for a thread.
+    """
     words = ("allocate memory", "out of memory", "bad_alloc", "start new thread")
     return isinstance(error, MemoryError) or (
         isinstance(error, RuntimeError) and any(word in str(error) for word in words)

@@ -1,10 +1,10 @@
-"""Kill training runs with SIGKILL, resume them, and compare with one left alone.
+"""Kill training runs with SIGKILL, resume them, and compare with an uninterrupted one.
 
-At `moments`, a run is killed after a random amount of computing, one time in ten while
-it loads; in `writes`, just before a random one of its steps on files (create, open,
-rename, link, remove, ...), whichever file it is.
-Every kill is followed by --resume. When a run has come to its end, its metrics,
-checkpoints and policy must equal, bit for bit, those of the run left alone.
+`moments` kills a run after a random amount of CPU time, one time in ten while it loads.
+`writes` kills it just before a random one of its file operations (create, open, rename,
+link, remove, ...), on any file of the run.
+Every kill is followed by --resume. Once a run has finished, its metrics, checkpoints
+and policy must equal those of the uninterrupted run, bit for bit.
 """
 
 import argparse
@@ -36,25 +36,25 @@ ALGORITHMS = {
     "ppo": "--agent.rollout-length 16 --agent.minibatches 2",
     "sac": "--agent.random-steps 128 --agent.buffer-size 1000",
 }
-"""A run that goes in seconds through all that long ones go through."""
+"""A run of seconds that does everything that long ones do."""
 
 TIMES = {"seconds", "cpu_seconds", "steps_per_second"}
-"""What a run notes of the clock, and may differ."""
+"""Columns that depend on the clock."""
 
-FILE_STEPS = {"open", "os.rename", "os.link", "os.remove", "os.chmod", "os.truncate"}
-"""Python's audit events, raised before the step is taken."""
+FILE_EVENTS = {"open", "os.rename", "os.link", "os.remove", "os.chmod", "os.truncate"}
+"""Python's audit events of file operations, raised before the operation."""
 
 Prepare = Callable[[], object]
 
 
 def main() -> int:
-    """Kill and compare; 0 if every run came to the same end."""
+    """Kill and compare; 0 if every run equals the uninterrupted one."""
     options = _options()
     figures = {}
     for algo in options.algos:
         with tempfile.TemporaryDirectory(prefix=f"kill-{algo}-") as folder:
             trial = Trial(algo, Path(folder), random.Random(options.seed))
-            figures[algo] = trial.hold(options.when, options.kills)
+            figures[algo] = trial.kill(options.when, options.kills)
             print(json.dumps({algo: figures[algo]}), flush=True)
     if options.json:
         options.json.write_text(json.dumps(figures, indent=2) + "\n")
@@ -70,42 +70,42 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--kills", type=int, default=25, help="an algorithm (25)")
     parser.add_argument("--algos", nargs="+", choices=ALGORITHMS, default=[*ALGORITHMS])
     parser.add_argument("--seed", type=int, default=0, help="of the kills (0)")
-    parser.add_argument("--json", type=Path, help="write the figures here, too")
+    parser.add_argument("--json", type=Path, help="file for the counts")
     parser.set_defaults(when="moments")
     return parser.parse_args()
 
 
 class Trial:
-    """Runs of an algorithm: the one left alone, and those that are killed."""
+    """Runs of an algorithm: an uninterrupted one, and those that are killed."""
 
     def __init__(self, algo: str, folder: Path, chance: random.Random) -> None:
         self._command = ["--algo", algo, *f"{RUN} {ALGORITHMS[algo]}".split()]
         self._folder, self._chance = folder, chance
         self._whole = folder / "whole"
 
-    def hold(self, when: str, kills: int) -> dict[str, int]:
-        """Kill so many times, over as many runs as that takes."""
-        length, least = self._leave_alone(when), 20 if when == "writes" else 0.0
-        found = {"kills": 0, "resumed": 0, "runs": 0, "equal": 0}
-        while found["kills"] < kills:
-            found["runs"] += 1
-            run = self._folder / f"run{found['runs']}"
+    def kill(self, when: str, kills: int) -> dict[str, int]:
+        """Kill so many times, over as many runs as that takes; return the counts."""
+        length, least = self._uninterrupted(when), 20 if when == "writes" else 0.0
+        counts = {"kills": 0, "resumed": 0, "runs": 0, "equal": 0}
+        while counts["kills"] < kills:
+            counts["runs"] += 1
+            run = self._folder / f"run{counts['runs']}"
             while True:
-                ahead = self._chance.uniform(0, 2.5 * length / kills + least)
-                spared = found["kills"] == kills
-                code = self._attempt(run, when, None if spared else ahead)
+                distance = self._chance.uniform(0, 2.5 * length / kills + least)
+                spared = counts["kills"] == kills
+                code = self._attempt(run, when, None if spared else distance)
                 if code == 0:
                     break
                 if code != -signal.SIGKILL:
                     print((self._folder / "log").read_text(), file=sys.stderr)
-                    return found
-                found["kills"] += 1
-                found["resumed"] += readable(run)
-            found["equal"] += same_runs(self._whole, run)
-        return found
+                    return counts
+                counts["kills"] += 1
+                counts["resumed"] += readable(run)
+            counts["equal"] += same_runs(self._whole, run)
+        return counts
 
-    def _leave_alone(self, when: str) -> float:
-        """Train once; how long it took: in CPU seconds or in steps on files."""
+    def _uninterrupted(self, when: str) -> float:
+        """Train once; return the CPU seconds or the file operations that it took."""
         if when == "moments":
             child = self._start(self._whole, lambda: None)
             begun = _wait_for_lock(self._whole, child)
@@ -113,7 +113,7 @@ class Trial:
             self._check(status)
             return used.ru_utime + used.ru_stime - begun
         steps = self._folder / "steps"
-        child = self._start(self._whole, lambda: count_steps(self._whole, steps))
+        child = self._start(self._whole, lambda: count_operations(self._whole, steps))
         self._check(os.waitpid(child, 0)[1])
         return len(steps.read_bytes())
 
@@ -122,14 +122,14 @@ class Trial:
         if status:
             raise RuntimeError((self._folder / "log").read_text())
 
-    def _attempt(self, run: Path, when: str, ahead: float | None) -> int:
-        """Begin or resume a run, and kill it when it has gone that far."""
-        if ahead is None or when == "moments":
+    def _attempt(self, run: Path, when: str, distance: float | None) -> int:
+        """Start or resume a run, and kill it after some CPU time or file operations."""
+        if distance is None or when == "moments":
             child = self._start(run, lambda: None)
-            if ahead is not None:
-                _kill_after(run, child, ahead, self._chance.random() < 0.1)
+            if distance is not None:
+                _kill_after(run, child, distance, self._chance.random() < 0.1)
         else:
-            child = self._start(run, lambda: die_at_step(run, 1 + int(ahead)))
+            child = self._start(run, lambda: die_at_operation(run, 1 + int(distance)))
         return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
     def _start(self, run: Path, prepare: Prepare) -> int:
@@ -144,41 +144,41 @@ class Trial:
         os._exit(cli.run(train.main, command))
 
 
-def count_steps(run: Path, to: Path) -> None:
-    """Leave a byte in a file for each of this process's steps on files of the run."""
+def count_operations(run: Path, to: Path) -> None:
+    """Write a byte to a file for each operation of this process on the run's files."""
     handle = os.open(to, os.O_WRONLY | os.O_CREAT)
-    _before_steps(run, lambda: os.write(handle, b"."))
+    _before_operations(run, lambda: os.write(handle, b"."))
 
 
-def die_at_step(run: Path, number: int) -> None:
-    """Have this process killed just before one of its steps on files of the run."""
+def die_at_operation(run: Path, number: int) -> None:
+    """Kill this process just before one of its operations on the run's files."""
     steps = count(1)
 
     def step() -> None:
         if next(steps) == number:
             os.kill(os.getpid(), signal.SIGKILL)
 
-    _before_steps(run, step)
+    _before_operations(run, step)
 
 
-def _before_steps(run: Path, act: Callable[[], object]) -> None:
+def _before_operations(run: Path, act: Callable[[], object]) -> None:
     def hook(event: str, arguments: tuple[Any, ...]) -> None:
-        if event in FILE_STEPS and str(arguments[0]).startswith(str(run)):
+        if event in FILE_EVENTS and str(arguments[0]).startswith(str(run)):
             act()
 
     sys.addaudithook(hook)
 
 
-def _kill_after(run: Path, child: int, ahead: float, early: bool) -> None:
-    """Kill a run when it has computed for so many seconds, or so early."""
+def _kill_after(run: Path, child: int, seconds: float, early: bool) -> None:
+    """Kill a run after so many CPU seconds of training, or of loading if early."""
     begun = 0.0 if early else _wait_for_lock(run, child)
-    while not _ended(child) and cpu_seconds(child) < begun + ahead:
+    while not _ended(child) and cpu_seconds(child) < begun + seconds:
         time.sleep(0.01)
     os.kill(child, signal.SIGKILL)
 
 
 def _wait_for_lock(run: Path, child: int) -> float:
-    """CPU seconds that a run needed until it began to train."""
+    """Wait until a run trains; return the CPU seconds that it needed till then."""
     lock = run / "run.lock"
     while not _ended(child):
         if lock.is_file() and f"process {child} " in lock.read_text():
@@ -202,14 +202,14 @@ def _stat(child: int) -> list[str]:
 
 
 def readable(run: Path) -> bool:
-    """Whether a policy, if there is one, can be loaded; --resume tries the rest."""
+    """Load the policy, if there is one; --resume loads the rest."""
     if (run / "policy" / "policy.safetensors").is_file():
         evaluate.load_policy(run)
     return True
 
 
 def same_runs(run: Path, other: Path) -> bool:
-    """Whether two runs left the same metrics, checkpoints and policy."""
+    """Whether two runs have the same metrics, checkpoints and policy."""
     names = ("checkpoints/latest", "checkpoints/best", "policy/policy")
     files = [f"{name}.safetensors" for name in names]
     same = all(_tree(run / name) == _tree(other / name) for name in files)

@@ -1,10 +1,10 @@
 """Train for long and watch the process: memory, open files, speed; see --help.
 
-The peak memory [MiB], the open files and the steps a second are taken between the rows
-of metrics.csv. The first half of the run is warm-up: the replay buffer fills. A run is
-steady when its last quarter needs no more memory (within 1 %) and files than the third
-quarter, and is no slower (within 10 % of steps a CPU second, which a busy machine
-disturbs less than wall time).
+Peak memory [MiB], open files and steps per second are measured between the rows of
+metrics.csv. The first half of the run is warm-up, in which the replay buffer fills. A
+run is steady if its last quarter needs at most 1 % more memory and no more files than
+the third quarter, and is at most 10 % slower, in steps per CPU second (other load on
+the machine affects wall time more).
 """
 
 import argparse
@@ -21,12 +21,12 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-LOOK_EVERY = 1.0
-"""Seconds between two looks at the process."""
+INTERVAL = 1.0
+"""Seconds between two measurements."""
 
 
 class Stretch(NamedTuple):
-    """What the process needed between two rows of its metrics."""
+    """Memory, open files and speed of the process between two rows of its metrics."""
 
     env_steps: int
     memory: float
@@ -36,7 +36,7 @@ class Stretch(NamedTuple):
 
 
 class Process:
-    """A training and what /proc tells of it."""
+    """A training process, measured through /proc."""
 
     def __init__(self, command: Sequence[str]) -> None:
         self.child = subprocess.Popen(command, stderr=subprocess.DEVNULL)
@@ -58,7 +58,7 @@ class Process:
 
 
 def main() -> int:
-    """Run the soak; 0 when the process was steady."""
+    """Train and measure; 0 if the process was steady."""
     options, train = _options()
     with tempfile.TemporaryDirectory(prefix="soak-") as folder:
         out = Path(folder) / "run"
@@ -68,12 +68,12 @@ def main() -> int:
         command += ["--eval-every", str(-(-options.steps // 100)), *train]
         process = Process(command)
         try:
-            stretches = list(_watched(process, out / "metrics.csv"))
+            stretches = list(_stretches(process, out / "metrics.csv"))
         finally:
             process.child.terminate()
             code = process.child.wait()
     if code or len(stretches) < 8:
-        print(f"the training left with {code} after {len(stretches)} rows")
+        print(f"the training ended with exit code {code} after {len(stretches)} rows")
         return 2
     return _report(stretches, options.json)
 
@@ -85,17 +85,17 @@ def _options() -> tuple[argparse.Namespace, list[str]]:
     parser.add_argument("--task", default="Reach", help="task to train (Reach)")
     parser.add_argument("--algo", default="sac", help="algorithm (sac)")
     parser.add_argument("--steps", type=int, default=1_000_000, help="(1000000)")
-    parser.add_argument("--json", type=Path, help="write the figures here, too")
+    parser.add_argument("--json", type=Path, help="file for the figures")
     parser.epilog = "All other options go to `manip train`."
     return parser.parse_known_args()
 
 
-def _watched(process: Process, metrics: Path) -> Iterator[Stretch]:
-    """A stretch for each row of the metrics, as they appear."""
+def _stretches(process: Process, metrics: Path) -> Iterator[Stretch]:
+    """Yield a stretch for each new row of the metrics."""
     memory, files, known = 0.0, 0, 0
     steps, seconds, cpu = 0, time.monotonic(), 0.0
     while process.child.poll() is None:
-        with contextlib.suppress(OSError):  # it may be leaving just now
+        with contextlib.suppress(OSError):  # the process may be ending
             memory, files = max(memory, process.memory()), max(files, process.files())
         rows = _rows(metrics)
         if len(rows) > known:
@@ -107,7 +107,7 @@ def _watched(process: Process, metrics: Path) -> Iterator[Stretch]:
             yield stretch
             memory, files, known = 0.0, 0, len(rows)
             steps, seconds, cpu = done, now, used
-        time.sleep(LOOK_EVERY)
+        time.sleep(INTERVAL)
 
 
 def _rows(metrics: Path) -> list[dict[str, str]]:

@@ -1,4 +1,4 @@
-"""A disk that is really full: a small one of memory, filled while a run is at work."""
+"""A full disk: a small file system in memory, filled while a run trains."""
 
 import subprocess
 from collections.abc import Iterator
@@ -8,22 +8,21 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_training import assert_equal_runs, tiny
+from training_runs import assert_equal_runs, finished, new_trainer, tiny
 
 from manip.errors import UserError
-from manip.training.trainer import Trainer
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 4 MiB."""
+    """A file system of 4 MiB."""
     folder = tmp_path / "disk"
     folder.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", str(folder)]
     if subprocess.run(mount, capture_output=True).returncode:
-        pytest.skip("only root may mount a disk")
+        pytest.skip("only root may mount a file system")
     yield folder
     subprocess.run(["umount", str(folder)], check=True)
 
@@ -35,24 +34,22 @@ def fill(path: Path) -> None:
 
 
 @pytest.mark.parametrize("algo", ["ppo", "sac"])
-def test_a_run_on_a_full_disk_goes_on_when_there_is_room(algo, disk, tmp_path) -> None:
-    whole = Trainer(tiny(algo, tmp_path / "whole"))
-    assert whole.run()
+def test_a_run_on_a_full_disk_resumes_when_there_is_room(algo: str, disk: Path) -> None:
     config = tiny(algo, disk / "run")
-    trainer, filler = Trainer(config), disk / "filler"
-    update = trainer.agent.update
+    trainer, filler = new_trainer(config), disk / "filler"
+    update = trainer.parts.agent.update
 
     def filling(batch: Any) -> dict[str, float]:
-        if trainer.env_steps > 300:
+        if trainer.state.env_steps > 300:
             fill(filler)
         return update(batch)
 
-    trainer.agent.update = filling
+    trainer.parts.agent.update = filling
     with pytest.raises(UserError, match=r"No space left .*; the run is saved"):
         trainer.run()
     again = replace(config, resume=True)
     with pytest.raises(UserError, match="No space left on device"):
-        Trainer(again).run()
+        new_trainer(again).run()
     filler.unlink()
-    assert Trainer(again).run()
-    assert_equal_runs(whole.folder, config.folder)
+    assert new_trainer(again).run()
+    assert_equal_runs(finished(algo).folder, config.folder)

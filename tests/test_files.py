@@ -1,4 +1,4 @@
-"""Files: trees come back as they were; damage is told, and never runs code."""
+"""Files: values come back, damage is refused, and no file is run as code."""
 
 import json
 import os
@@ -40,22 +40,22 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "new" / "tree.safetensors"
 
 
-def test_a_tree_comes_back_as_it_was(path: Path) -> None:
+def test_a_tree_is_loaded_as_it_was_saved(path: Path) -> None:
     save_tree(path, TREE)
     assert_same(load_tree(path), TREE)
 
 
-def test_what_is_saved_shares_no_memory_and_is_not_changed(path: Path) -> None:
+def test_saved_tensors_share_no_memory_and_are_not_changed(path: Path) -> None:
     shared = torch.zeros(4)
     save_tree(path, {"whole": shared, "part": shared[2:]})
-    found = load_tree(path)
-    found["whole"] += 1
-    assert not found["part"].any()
+    loaded = load_tree(path)
+    loaded["whole"] += 1
+    assert not loaded["part"].any()
     assert not shared.any()
 
 
 @pytest.mark.parametrize("tree", [{1: 0, "1": 0}, {True: 0}, {(1, 2): 0}])
-def test_keys_that_would_not_come_back_are_refused(tree, path: Path) -> None:
+def test_keys_that_cannot_be_restored_are_refused(tree, path: Path) -> None:
     with pytest.raises(TypeError, match="keys must be all text or all integers"):
         save_tree(path, tree)
     assert not path.exists()
@@ -121,7 +121,9 @@ def test_a_tensor_that_a_tree_names_twice_is_refused(path: Path) -> None:
         load_tree(path)
 
 
-def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path: Path) -> None:
+def test_temporary_files_of_killed_writers_are_removed_and_nothing_else(
+    tmp_path: Path,
+) -> None:
     write_text(tmp_path / "a" / "kept.json", "kept")
     with pytest.raises(KeyboardInterrupt):
         replace_file(tmp_path / "a" / "new.json", killed)
@@ -135,7 +137,7 @@ def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path: Path) ->
 
 
 def killed(temporary: Path) -> None:
-    """As if no `finally` came to run: what is removed then is there again."""
+    """End as SIGKILL does: with the temporary file still there."""
     temporary.write_text("ne")
     temporary.rename(temporary.with_suffix(".again"))
     raise KeyboardInterrupt

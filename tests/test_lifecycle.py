@@ -11,7 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from training_runs import finished, ROLLOUT, contents, copy_of, new_trainer, state_of, tiny
+from training_runs import (
+    ROLLOUT,
+    contents,
+    copy_of,
+    finished,
+    new_trainer,
+    state_of,
+    tiny,
+)
 
 from manip.errors import UserError
 from manip.programs import cli, train
@@ -26,8 +34,10 @@ def test_a_run_folder_is_for_one_process_at_a_time(tmp_path: Path) -> None:
         [sys.executable, "-c", HOLD, config.folder], stdout=subprocess.PIPE, text=True
     )
     assert holder.stdout.readline() == "locked\n"
-    told = f"is in use by process {holder.pid} on .*: wait until it ends, stop it, or"
-    with pytest.raises(UserError, match=told):
+    message = (
+        f"is in use by process {holder.pid} on .*: wait until it ends, stop it, or"
+    )
+    with pytest.raises(UserError, match=message):
         new_trainer(replace(config, resume=True)).run()
     holder.kill()
     holder.wait()
@@ -46,32 +56,32 @@ with locked(Path(sys.argv[1])):
 
 
 @pytest.fixture(params=[signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def heard(request) -> Iterator[signal.Signals]:
-    """A signal that is not ignored, as two of them are in the background of a shell."""
+def signal_number(request) -> Iterator[signal.Signals]:
+    """A signal with its default handler; background jobs may ignore it."""
     before = signal.signal(request.param, signal.SIG_DFL)
     yield request.param
     signal.signal(request.param, before)
 
 
-def test_a_signal_ends_the_run_after_its_update(heard, tmp_path, capfd) -> None:
+def test_a_signal_ends_the_run_after_its_update(signal_number, tmp_path, capfd) -> None:
     trainer = new_trainer(tiny("ppo", tmp_path / "run"))
     update = trainer.parts.agent.update
 
     def interrupted(batch: Any) -> dict[str, float]:
-        signal.raise_signal(heard)
+        signal.raise_signal(signal_number)
         return update(batch)
 
     trainer.parts.agent.update = interrupted
     assert not trainer.run()
     assert "repeat to quit at once" in capfd.readouterr().err
-    assert signal.getsignal(heard) == signal.SIG_DFL
+    assert signal.getsignal(signal_number) == signal.SIG_DFL
     assert state_of(trainer.folder)["progress"]["env_steps"] == ROLLOUT["ppo"]
 
 
 def test_an_ignored_signal_stays_ignored() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        with SignalHandler(lambda: pytest.fail("heard")):
+        with SignalHandler(lambda: pytest.fail("handled")):
             signal.raise_signal(signal.SIGHUP)
         assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
     finally:
@@ -85,7 +95,7 @@ def wait_for_metrics(path: Path, process: subprocess.Popen[str]) -> None:
         time.sleep(0.1)
 
 
-def test_sigterm_saves_and_leaves_with_3_and_the_run_goes_on(tmp_path: Path) -> None:
+def test_sigterm_saves_and_exits_with_3_and_the_run_resumes(tmp_path: Path) -> None:
     out = tmp_path / "run"
     options = "--task Reach --algo ppo --num-envs 4 --eval-every 64 --eval-episodes 1"
     agent = "--agent.rollout-length 8 --agent.epochs 1 --agent.action-scale"
@@ -98,10 +108,10 @@ def test_sigterm_saves_and_leaves_with_3_and_the_run_goes_on(tmp_path: Path) -> 
     )
     wait_for_metrics(out / "metrics.csv", process)
     process.send_signal(signal.SIGTERM)
-    _, said = process.communicate(timeout=60)
-    assert process.returncode == 3, said
-    assert "stopped at step" in said
-    assert f"--resume --out {out}" in " ".join(said.split())
+    _, printed = process.communicate(timeout=60)
+    assert process.returncode == 3, printed
+    assert "stopped at step" in printed
+    assert f"--resume --out {out}" in " ".join(printed.split())
     done = state_of(out)["progress"]["env_steps"]
     more = ["--resume", "--out", str(out), "--steps", str(done + 64)]
     assert cli.run(train.main, more) == 0

@@ -1,4 +1,4 @@
-"""Files that were damaged or made to harm: refused in a line, not run, not believed."""
+"""Damaged and malicious files: refused with one line, and never run as code."""
 
 import pickle
 import shutil
@@ -33,11 +33,11 @@ RUN = """
 
 
 class Stored:
-    """A file, what it held, and how it is read."""
+    """A file, its content, and how it is read."""
 
     def __init__(self, path: Path, load: Callable[[], object]) -> None:
         self.path, self.load = path, load
-        self.whole, self.success_held = path.read_bytes(), load()
+        self.whole, self.loaded = path.read_bytes(), load()
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def assert_refused_unless_whole(file: Stored, damage: Callable[[bytes], bytes]) 
     damaged = damage(file.whole)
     file.path.write_bytes(damaged)
     if damaged == file.whole:
-        assert_same(file.load(), file.success_held)
+        assert_same(file.load(), file.loaded)
         return
     with pytest.raises(DamagedError, match=str(file.path)) as refused:
         file.load()
@@ -96,7 +96,7 @@ mutated = settings(
 )
 
 
-@pytest.mark.filterwarnings("ignore:.*trying the one before")
+@pytest.mark.filterwarnings("ignore:.*trying the checkpoint before")
 @pytest.mark.parametrize("kind", ["policy", "checkpoint"])
 @settings(mutated, max_examples=30, derandomize=True)
 @given(damage=damages())
@@ -105,7 +105,7 @@ def test_damage_is_refused(kind: str, stored, damage) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:.*trying the one before")
+@pytest.mark.filterwarnings("ignore:.*trying the checkpoint before")
 @pytest.mark.parametrize("kind", ["policy", "checkpoint"])
 @settings(mutated, max_examples=500)
 @given(damage=damages())
@@ -115,10 +115,10 @@ def test_a_thousand_damages_are_refused(kind: str, stored, damage) -> None:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run folder with a file in every slot there is."""
+    """A run folder with every file that a run can write."""
     folder = tmp_path_factory.mktemp("run") / "run"
     assert cli.run(train.main, [*RUN.split(), "--out", str(folder)]) == 0
-    save_tree(folder / "dumps" / "world0-episode0-step1.safetensors", {"format": 1})
+    save_tree(folder / "dumps" / "env0-episode0-step1.safetensors", {"format": 1})
     return folder
 
 
@@ -132,7 +132,7 @@ def use(folder: Path) -> list[int]:
     ]
 
 
-def slots(folder: Path) -> list[Path]:
+def files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
@@ -140,20 +140,22 @@ def slots(folder: Path) -> list[Path]:
     ("wrap", "open_up"),
     [
         (bare, pickle.loads),
-        (archived, lambda held: torch.load(BytesIO(held), weights_only=False)),
+        (archived, lambda content: torch.load(BytesIO(content), weights_only=False)),
     ],
 )
-def test_bombs_in_every_slot_never_go_off(run, wrap, open_up, tmp_path, capfd) -> None:
+def test_pickles_in_every_file_are_never_run(
+    run, wrap, open_up, tmp_path, capfd
+) -> None:
     folder, mark = tmp_path / "run", tmp_path / "mark"
     shutil.copytree(run, folder)
-    for path in slots(folder):
+    for path in files(folder):
         path.write_bytes(wrap(Bomb(mark)))
     assert use(folder) == [2, 2, 2]
-    said = capfd.readouterr().err.splitlines()
-    assert len(said) == 3
-    assert all(line.startswith("manip: error: ") for line in said)
+    printed = capfd.readouterr().err.splitlines()
+    assert len(printed) == 3
+    assert all(line.startswith("manip: error: ") for line in printed)
     assert not mark.exists()
-    open_up(slots(folder)[0].read_bytes())
+    open_up(files(folder)[0].read_bytes())
     assert mark.exists()
 
 
@@ -174,22 +176,23 @@ def test_code_beside_the_files_of_a_run_is_never_imported(
     for here in (folder, folder.parent):
         monkeypatch.chdir(here)
         monkeypatch.setattr(sys, "path", [*sys.path, str(folder)])
-        found = [*use(folder), cli.run(evaluate.main, [str(folder / "policy")])]
-        found += [cli.run(render.main, [str(folder), "--steps", "1"])]
-        assert found == [2] * 5
-        said = capfd.readouterr().err.splitlines()
-        assert len(said) == 5
-        for line in said:
-            assert f"task 'evil:Task' would run {folder / 'evil.py'}, which" in line
+        codes = [*use(folder), cli.run(evaluate.main, [str(folder / "policy")])]
+        codes += [cli.run(render.main, [str(folder), "--steps", "1"])]
+        assert codes == [2] * 5
+        printed = capfd.readouterr().err.splitlines()
+        assert len(printed) == 5
+        for line in printed:
+            assert line.startswith("manip: error: ")
+            assert "task 'evil:Task'" in line
     assert not mark.exists()
 
 
 @pytest.mark.slow
-def test_a_bomb_in_any_slot_never_goes_off(run, tmp_path, capfd) -> None:
-    for number, slot in enumerate(slots(run)):
+def test_a_pickle_in_any_file_is_never_run(run, tmp_path, capfd) -> None:
+    for number, file in enumerate(files(run)):
         folder, mark = tmp_path / f"run{number}", tmp_path / "mark"
         shutil.copytree(run, folder)
-        (folder / slot.relative_to(run)).write_bytes(bare(Bomb(mark)))
-        assert set(use(folder)) <= {0, 2}, slot
+        (folder / file.relative_to(run)).write_bytes(bare(Bomb(mark)))
+        assert set(use(folder)) <= {0, 2}, file
         assert "Traceback" not in capfd.readouterr().err
-        assert not mark.exists(), slot
+        assert not mark.exists(), file

@@ -25,14 +25,14 @@ def test_every_recipe_loads_for_the_task_and_algorithm_it_is_named_after() -> No
     for name in recipe_names():
         task, algo = name.split("-", 1)
         names = {known.lower(): known for known in task_names()}
-        found = recipe(names.get(task, task), algo)
-        assert found != recipe("a task without a recipe", algo), name
-        assert isinstance(found.agent, load_algorithm(algo).Config)
-        assert load_task(found.task).name.lower() == task
-        assert found.eval_every <= found.steps
+        config = recipe(names.get(task, task), algo)
+        assert config != recipe("a task without a recipe", algo), name
+        assert isinstance(config.agent, load_algorithm(algo).Config)
+        assert load_task(config.task).name.lower() == task
+        assert config.eval_every <= config.steps
 
 
-def test_a_recipe_may_say_more_of_some_arms() -> None:
+def test_a_recipe_may_have_other_options_for_some_arms() -> None:
     panda, jaco = (recipe("Lift", "bc", robot) for robot in ("Panda", "Jaco"))
     assert (panda.robot, jaco.robot) == ("Panda", "Jaco")
     assert panda == recipe("Lift", "bc")
@@ -56,7 +56,7 @@ def test_a_run_folder_is_named_after_what_is_trained() -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "told"),
+    ("values", "message"),
     [
         ({"stepz": 1}, "unknown .*'stepz': did you mean 'steps'.*num_envs"),
         ({"agent": {"gama": 1}}, "unknown SACConfig .*'gama': did you mean 'gamma'"),
@@ -75,6 +75,6 @@ def test_a_run_folder_is_named_after_what_is_trained() -> None:
         ({"algo": "ppo-kl", "agent": {"beta": 0}}, "beta must be at least 1e-09"),
     ],
 )
-def test_wrong_options_are_told(values: dict[str, Any], told: str) -> None:
-    with pytest.raises(UserError, match=told):
+def test_wrong_options_are_refused(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(UserError, match=message):
         from_dict(values)

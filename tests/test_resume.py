@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 import torch
 from training_runs import (
-    finished,
     AGENTS,
     OFTEN,
     ROLLOUT,
@@ -19,6 +18,7 @@ from training_runs import (
     assert_tensorboard_holds,
     contents,
     copy_of,
+    finished,
     new_trainer,
     rewrite,
     state_of,
@@ -28,6 +28,7 @@ from training_runs import (
 
 from manip.errors import UserError
 from manip.io.tensor_trees import load_tree, save_tree
+from manip.training.checkpoint import bytes_of
 from manip.training.run_logs import read_metrics
 
 
@@ -44,7 +45,7 @@ from manip.training.run_logs import read_metrics
         ),
     ],
 )
-def test_an_interrupted_run_goes_on_bit_for_bit(
+def test_an_interrupted_run_resumes_bit_for_bit(
     algo: str, stops: tuple[int, ...], tmp_path: Path
 ) -> None:
     config = tiny(algo, tmp_path / "run")
@@ -88,7 +89,7 @@ DAMAGE = [truncate, lambda path: path.write_bytes(b""), flip_a_bit, torch_file]
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_a_run_goes_on_from_the_checkpoint_before_a_damaged_one(
+def test_a_run_resumes_from_the_checkpoint_before_a_damaged_one(
     damage: Callable[[Path], Any], tmp_path: Path
 ) -> None:
     run = finished("ppo")
@@ -104,7 +105,7 @@ def test_a_run_goes_on_from_the_checkpoint_before_a_damaged_one(
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (lambda t: [1], "has format None, this version reads"),
         (lambda t: t | {"format": 0}, "has format 0, this version reads"),
@@ -115,19 +116,19 @@ def test_a_run_goes_on_from_the_checkpoint_before_a_damaged_one(
     ],
 )
 def test_a_checkpoint_that_does_not_fit_is_refused_and_costs_nothing(
-    change: Callable[[Any], Any], told: str, tmp_path: Path
+    change: Callable[[Any], Any], message: str, tmp_path: Path
 ) -> None:
     config = copy_of(finished("ppo"), tmp_path / "run")
     latest = config.folder / "checkpoints" / "latest.safetensors"
     save_tree(latest, change(load_tree(latest)))
     before = contents(config.folder)
-    with pytest.raises(UserError, match=told):
+    with pytest.raises(UserError, match=message):
         new_trainer(replace(config, resume=True)).run()
     assert contents(config.folder) == before
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"seed": 1}, "seed was 0, not 1"),
         ({"num_envs": 3, "reward": "stock"}, "num_envs was 4, not 3; reward was"),
@@ -135,19 +136,21 @@ def test_a_checkpoint_that_does_not_fit_is_refused_and_costs_nothing(
         ({"algo": "sac"}, "algo was 'ppo', not 'sac'"),
     ],
 )
-def test_a_run_does_not_go_on_with_other_options(
-    change: dict[str, Any], told: str, tmp_path: Path
+def test_a_run_does_not_resume_with_other_options(
+    change: dict[str, Any], message: str, tmp_path: Path
 ) -> None:
     change = dict(change)
     folder = copy_of(finished("ppo"), tmp_path / "run").folder
     other = tiny(change.pop("algo", "ppo"), folder, resume=True, **change)
     before = contents(folder)
-    with pytest.raises(UserError, match=f"cannot go on with other options: .*{told}"):
+    with pytest.raises(
+        UserError, match=f"cannot go on with other options: .*{message}"
+    ):
         new_trainer(other).run()
     assert contents(folder) == before
 
 
-def test_other_versions_are_told_when_a_run_goes_on(tmp_path: Path) -> None:
+def test_a_run_that_resumes_with_other_versions_warns(tmp_path: Path) -> None:
     config = copy_of(finished("ppo"), tmp_path / "run")
     latest = config.folder / "checkpoints" / "latest.safetensors"
     rewrite(latest, lambda tree: tree["versions"].update(mujoco="2.0"))
@@ -155,7 +158,7 @@ def test_other_versions_are_told_when_a_run_goes_on(tmp_path: Path) -> None:
         assert new_trainer(replace(config, resume=True)).run()
 
 
-def test_a_full_disk_ends_a_run_that_goes_on_bit_for_bit(
+def test_a_run_that_a_full_disk_ended_resumes_bit_for_bit(
     tmp_path: Path, monkeypatch
 ) -> None:
     config = tiny("ppo", tmp_path / "run")
@@ -168,16 +171,14 @@ def test_a_full_disk_ends_a_run_that_goes_on_bit_for_bit(
 
     with monkeypatch.context() as patched:
         patched.setattr(os, "fsync", fsync)
-        told = f"No space left on device; .*--resume --out {config.folder}"
-        with pytest.raises(UserError, match=told):
+        message = f"No space left on device; .*--resume --out {config.folder}"
+        with pytest.raises(UserError, match=message):
             new_trainer(config).run()
     assert new_trainer(replace(config, resume=True)).run()
     assert_equal_runs(finished("ppo").folder, config.folder)
 
 
-def test_logs_of_a_run_that_goes_on_hold_every_row_once(
-    tmp_path: Path
-) -> None:
+def test_logs_of_a_resumed_run_hold_every_row_once(tmp_path: Path) -> None:
     run = finished("ppo")
     config = copy_of(run, tmp_path / "run")
     table = config.folder / "metrics.csv"
@@ -190,7 +191,7 @@ def test_logs_of_a_run_that_goes_on_hold_every_row_once(
     assert_tensorboard_holds(expected, config.folder)
 
 
-def test_a_run_goes_on_without_the_buffer_that_was_not_saved(
+def test_a_run_resumes_without_the_buffer_that_was_not_saved(
     tmp_path: Path, capsys
 ) -> None:
     config = tiny("sac", tmp_path / "run", save_buffer=False)
@@ -203,16 +204,16 @@ def test_a_run_goes_on_without_the_buffer_that_was_not_saved(
     update = again.parts.agent.update
 
     def counted(batch: Any) -> dict[str, float]:
-        found = update(batch)
+        values = update(batch)
         counts.append(again.parts.agent.extra_state()["updates"])
-        return found
+        return values
 
     again.parts.agent.update = counted
     with pytest.warns(UserWarning, match="holds no replay buffer: it is filled anew"):
         assert again.run()
     first, second, third, fourth, fifth = counts
     assert 0 < first == second == third < fourth < fifth
-    said = capsys.readouterr().err
-    assert re.search(r"MiB \(replay buffer: .*--no-save-buffer\)", said)
+    printed = capsys.readouterr().err
+    assert re.search(r"MiB \(replay buffer: .*--no-save-buffer\)", printed)
     rows = state_of(config.folder)["agent"]["buffer"]
-    assert trainer.checkpoints.latest.stat().st_size > lean + rows.nbytes / 2
+    assert trainer.checkpoints.latest.stat().st_size > lean + bytes_of(rows) / 2

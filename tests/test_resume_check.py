@@ -176,7 +176,9 @@ def assert_refused(trainer: Trainer, change: Change) -> None:
     change(tree)
     save_tree(latest, tree)
     try:
-        with pytest.raises(UserError, match="damaged|another configuration") as refused:
+        with pytest.raises(
+            UserError, match=r"damaged|another configuration"
+        ) as refused:
             resume(trainer.config, trainer.parts, trainer.checkpoints)
     finally:
         latest.write_bytes(whole)

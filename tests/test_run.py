@@ -86,11 +86,11 @@ def test_a_run_stopped_before_it_began_is_saved_and_has_no_success(
 
 def test_train_leaves_torch_threads_as_they_were(tmp_path: Path) -> None:
     torch.set_num_threads(3)
-    seen = []
+    threads = []
     try:
         train(
             tiny("ppo", tmp_path / "run", steps=64),
-            callback=lambda _: seen.append(torch.get_num_threads()),
+            callback=lambda _: threads.append(torch.get_num_threads()),
         )
         assert torch.get_num_threads() == 3
         with pytest.raises(UserError, match="already holds a run"):
@@ -98,7 +98,7 @@ def test_train_leaves_torch_threads_as_they_were(tmp_path: Path) -> None:
         assert torch.get_num_threads() == 3
     finally:
         torch.set_num_threads(1)
-    assert set(seen) == {1}
+    assert set(threads) == {1}
 
 
 class Paid:

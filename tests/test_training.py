@@ -10,12 +10,12 @@ import pytest
 import torch
 import yaml
 from training_runs import (
-    finished,
     ROLLOUT,
     TIMES,
     assert_equal_runs,
     assert_tensorboard_holds,
     by_algorithm,
+    finished,
     new_trainer,
     state_of,
     stop_after,
@@ -24,6 +24,7 @@ from training_runs import (
 )
 
 from manip.agents.policy import load_policy
+from manip.errors import UserError
 from manip.training.build import policy_of
 from manip.training.config import (
     from_dict,
@@ -32,9 +33,7 @@ from manip.training.run_logs import MetricsTable, read_metrics
 
 
 @by_algorithm
-def test_a_run_leaves_config_metrics_events_checkpoint_and_policy(
-    algo: str
-) -> None:
+def test_a_run_leaves_config_metrics_events_checkpoint_and_policy(algo: str) -> None:
     run = finished(algo)
     names = {path.name for path in run.folder.iterdir()}
     files = {"config.yaml", "metrics.csv", "run.lock"}
@@ -69,22 +68,22 @@ def test_tensorboard_holds_what_metrics_hold(algo) -> None:
 
 def assert_holds(modules: dict[str, Any], weight: torch.Tensor) -> None:
     tensors = [tensor for state in modules.values() for tensor in state.values()]
-    found = [tensor for tensor in tensors if tensor.shape == weight.shape]
-    assert any(torch.equal(tensor, weight) for tensor in found)
+    matching = [tensor for tensor in tensors if tensor.shape == weight.shape]
+    assert any(torch.equal(tensor, weight) for tensor in matching)
 
 
 def test_learning_rates_fall_to_zero_in_the_last_share(tmp_path, monkeypatch) -> None:
-    run, found = new_trainer(tiny("sac", tmp_path / "run", cool_down=0.5)), []
+    run, rates_at = new_trainer(tiny("sac", tmp_path / "run", cool_down=0.5)), []
     update = run.parts.agent.update
 
     def recorded(batch):
         (group,) = run.parts.agent.optimisers()["critic"].param_groups
-        found.append((run.state.env_steps, group["lr"]))
+        rates_at.append((run.state.env_steps, group["lr"]))
         return update(batch)
 
     monkeypatch.setattr(run.parts.agent, "update", recorded)
     run.run()
-    steps, rates = map(np.array, zip(*found, strict=True))
+    steps, rates = map(np.array, zip(*rates_at, strict=True))
     expected = run.config.agent.learning_rate * np.minimum(1, 2 * (1 - steps / 512))
     np.testing.assert_allclose(rates, expected, atol=1e-12)
     assert steps[-1] == 512
@@ -97,7 +96,7 @@ def test_learning_rates_fall_to_zero_in_the_last_share(tmp_path, monkeypatch) ->
 
 
 @by_algorithm
-def test_the_policy_kept_is_the_best_evaluated_one(algo) -> None:
+def test_the_saved_policy_is_the_best_evaluated_one(algo) -> None:
     run = finished(algo)
     rows = read_metrics(run.folder / "metrics.csv")
     best = max(
@@ -114,14 +113,16 @@ def test_the_policy_kept_is_the_best_evaluated_one(algo) -> None:
 
 
 def test_evaluations_are_of_the_same_episodes(tmp_path: Path) -> None:
-    """A policy that does not learn is judged alike each time."""
+    """A policy that does not learn has the same results each time."""
     agent = {"learning_rate": 0.0, "normalise": False}
     config = tiny("ppo", tmp_path / "run", agent=agent)
     new_trainer(config).run()
     rows = read_metrics(config.folder / "metrics.csv")
-    judged = [{k: v for k, v in row.items() if k.startswith("eval/")} for row in rows]
-    assert len(judged) == 3
-    assert judged[0] == judged[1] == judged[2]
+    evaluated = [
+        {k: v for k, v in row.items() if k.startswith("eval/")} for row in rows
+    ]
+    assert len(evaluated) == 3
+    assert evaluated[0] == evaluated[1] == evaluated[2]
 
 
 @by_algorithm
@@ -143,7 +144,9 @@ def test_the_number_of_threads_does_not_change_a_run(
 
 @pytest.mark.slow
 @by_algorithm
-def test_sixteen_worlds_give_the_same_run_twice(algo: str, tmp_path: Path) -> None:
+def test_sixteen_environments_give_the_same_run_twice(
+    algo: str, tmp_path: Path
+) -> None:
     for name in ("first", "second"):
         assert new_trainer(tiny(algo, tmp_path / name, num_envs=16, steps=2048)).run()
     assert_equal_runs(tmp_path / "first", tmp_path / "second")
@@ -159,17 +162,17 @@ def test_overlap_acts_with_the_policy_of_one_round_before(
     trainer.parts.agent.policy = lambda: (known.append(len(rounds)), policy())[1]
     trainer.parts.agent.update = lambda batch: (update(batch), rounds.append(1))[0]
     assert trainer.run()
-    assert [round_ - seen for round_, seen in enumerate(known)] == ages
+    assert [round_ - start for round_, start in enumerate(known)] == ages
 
 
 def test_another_seed_gives_another_run(tmp_path) -> None:
     other = new_trainer(tiny("ppo", tmp_path / "other", seed=1))
     assert other.run()
     pairs = zip(timeless(finished("ppo").folder), timeless(other.folder), strict=True)
-    assert all(mine["eval/return"] != its["eval/return"] for mine, its in pairs)
+    assert all(one["eval/return"] != two["eval/return"] for one, two in pairs)
 
 
-def test_a_table_takes_up_its_rows_and_columns_may_come(tmp_path: Path) -> None:
+def test_a_table_starts_with_its_rows_and_may_get_new_columns(tmp_path: Path) -> None:
     path = tmp_path / "metrics.csv"
     table = MetricsTable(path, [{"env_steps": 10, "a": 1.5}])
     table.add({"env_steps": 20, "a": 2.5, "b": 3})
@@ -180,36 +183,44 @@ def test_a_table_takes_up_its_rows_and_columns_may_come(tmp_path: Path) -> None:
     assert [row["env_steps"] for row in read_metrics(path)] == ["10", "20", "30"]
 
 
-def test_faults_are_told_counted_and_kept_and_a_run_goes_on(
+@pytest.mark.parametrize("content", [b"\xff\xfe\n", b"a" * 200_000 + b"\n1\n"])
+def test_a_file_that_is_no_table_is_refused(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "metrics.csv"
+    path.write_bytes(content)
+    with pytest.raises(UserError, match=f"{path} is damaged"):
+        read_metrics(path)
+
+
+def test_faults_are_reported_counted_and_stored_and_a_run_continues(
     tmp_path: Path, capsys
 ) -> None:
     config = tiny("ppo", tmp_path / "run")
     for updates in (1, None):
         trainer = new_trainer(replace(config, resume=updates is None))
-        fall_ill(trainer.parts.envs[0].batch.task, 2)
+        pay_nan(trainer.parts.envs[0].batch.task, 2)
         if updates:
             stop_after(trainer, updates)
         assert trainer.run() is (updates is None)
-        told = capsys.readouterr().err
-        assert "Reach: reward term 'near' of world 2 is not finite in step" in told
-        assert told.count("its episode is lost") == 1
+        printed = capsys.readouterr().err
+        assert "Reach: reward term 'near' of environment 2 is not finite in step" in printed
+        assert printed.count("its episode is lost") == 1
     rows = read_metrics(config.folder / "metrics.csv")
     assert [row["faults"] for row in rows] == ["2"] * 3
     assert len(list((config.folder / "dumps").iterdir())) == 2
 
 
-def fall_ill(task: Any, world: int) -> None:
-    """Have the task pay a world in NaN, in its sixth reward from now."""
+def pay_nan(task: Any, env_id: int) -> None:
+    """Make the task's sixth reward from now NaN in one environment."""
     terms, number = task.reward_terms, iter(range(10_000))
 
-    def ill(m: Any, reward: str) -> dict[str, np.ndarray]:
-        found = terms(m, reward)
+    def with_nan(m: Any, reward: str) -> dict[str, np.ndarray]:
+        values = terms(m, reward)
         if next(number) == 5:
-            found["near"] = found["near"].copy()
-            found["near"][world] = np.nan
-        return found
+            values["near"] = values["near"].copy()
+            values["near"][env_id] = np.nan
+        return values
 
-    task.reward_terms = ill
+    task.reward_terms = with_nan
 
 
 @by_algorithm

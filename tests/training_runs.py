@@ -160,9 +160,9 @@ def assert_tensorboard_holds(rows: list[dict[str, str]], folder: Path) -> None:
     events = EventAccumulator(str(folder / "tensorboard"))
     events.Reload()
     assert set(events.Tags()["scalars"]) == set(rows[-1]) - {"env_steps"}
-    found = [(event.step, event.value) for event in events.Scalars("eval/return")]
+    scalars = [(event.step, event.value) for event in events.Scalars("eval/return")]
     expected = [(int(row["env_steps"]), float(row["eval/return"])) for row in rows]
-    assert found == [pytest.approx(pair) for pair in expected]
+    assert scalars == [pytest.approx(pair) for pair in expected]
 
 
 def copy_of(run: Trainer, folder: Path) -> TrainConfig:

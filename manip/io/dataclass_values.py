@@ -12,14 +12,14 @@ from manip.errors import UserError, shown, unknown
 Built = TypeVar("Built")
 
 LARGEST = sys.float_info.max
-"""What is larger, or NaN, is no number."""
+"""Numbers beyond, and NaN, are refused."""
 
 
 def build(cls: type[Built], values: Any) -> Built:
-    """The dataclass with these values; lists become tuples where it holds tuples.
+    """Build a dataclass from plain values; lists become tuples where it holds tuples.
 
     Raises:
-        UserError: a name is unknown or missing, or a value is of another type.
+        UserError: a name is unknown or missing, or a value has another type.
     """
     if not isinstance(values, Mapping):
         raise UserError(
@@ -30,16 +30,21 @@ def build(cls: type[Built], values: Any) -> Built:
         if name not in hints:
             raise unknown(f"{cls.__name__} option", name, hints)
         if not _fits(value, hints[name]):
-            said = f"{_words(hints[name])}, not {shown(value)}"
-            raise UserError(f"{name} must be {said}")
-    for field in fields(cls):  # type: ignore[arg-type]
+            expected = _describe(hints[name])
+            raise UserError(f"{name} must be {expected}, not {shown(value)}")
+    _check_complete(cls, values)
+    return cls(**{n: _with_tuples(value, hints[n]) for n, value in values.items()})
+
+
+def _check_complete(cls: type, values: Mapping[str, Any]) -> None:
+    for field in fields(cls):
         unset = field.default is MISSING and field.default_factory is MISSING
         if unset and field.name not in values:
             raise UserError(f"{cls.__name__} needs {field.name}")
-    return cls(**{name: _frozen(value, hints[name]) for name, value in values.items()})
 
 
 def _fits(value: Any, hint: Any) -> bool:
+    """Whether a value has the type of an annotation, down to its items."""
     parts = get_args(hint)
     match get_origin(hint) or hint:
         case kind if kind is Literal:
@@ -60,24 +65,25 @@ def _fits(value: Any, hint: Any) -> bool:
             return isinstance(value, kind)
 
 
-def _frozen(value: Any, hint: Any) -> Any:
+def _with_tuples(value: Any, hint: Any) -> Any:
     return tuple(value) if get_origin(hint) is tuple else value
 
 
-_WORDS = {int: "a whole number", float: "a number", str: "text", NoneType: "nothing"}
-_WORDS |= {bool: "true or false", Path: "a path"}
+_NAMES = {int: "a whole number", float: "a number", str: "text", NoneType: "nothing"}
+_NAMES |= {bool: "true or false", Path: "a path"}
 
 
-def _words(hint: Any) -> str:
+def _describe(hint: Any) -> str:
+    """An annotation in words."""
     parts = get_args(hint)
     match get_origin(hint) or hint:
         case kind if kind is Literal:
             return f"one of {', '.join(map(repr, parts))}"
         case kind if kind is UnionType:
-            return " or ".join(map(_words, parts))
+            return " or ".join(map(_describe, parts))
         case kind if kind in (tuple, list):
-            return f"a list, each {_words(parts[0])}"
+            return f"a list, each {_describe(parts[0])}"
         case kind if kind is dict:
-            return f"a mapping, each {_words(parts[1])}"
+            return f"a mapping, each {_describe(parts[1])}"
         case kind:
-            return _WORDS.get(kind, kind.__name__)
+            return _NAMES.get(kind, kind.__name__)

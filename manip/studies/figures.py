@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
+from manip.io.atomic_files import replace_file
 from manip.studies.gradients import BASELINE, NS, Found
 from manip.studies.learning import Evaluated
 
@@ -135,6 +136,5 @@ def _save(figure: Figure, panels: Sequence[Axes], path: Path) -> None:
     for axes in panels:
         axes.grid(alpha=0.3)
     panels[0].legend(fontsize="small")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
+    replace_file(path, lambda temporary: figure.savefig(temporary, dpi=120))
     plt.close(figure)

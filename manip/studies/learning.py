@@ -8,8 +8,8 @@ from pathlib import Path
 from manip.agents.ppo import PPOConfig
 from manip.errors import UserError
 from manip.training.config import TrainConfig, recipe, recorded
-from manip.training.run_logs import read_metrics
 from manip.training.run import train_or_resume
+from manip.training.run_logs import read_metrics
 from manip.training.terminal import TerminalProgress
 
 EPOCHS = (1, 5, 20)

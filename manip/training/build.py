@@ -65,16 +65,15 @@ def imitates(config: TrainConfig) -> bool:
 
 
 def _training_env(config: TrainConfig, worker: int, workers: int) -> TaskEnv:
-    weights = parse_weights(config.reward_weights)
     env = _env(
         config,
         config.num_envs // workers,
-        **({"reward_weights": weights} if weights else {}),
         expert=imitates(config),
         fidelity=config.fidelity,
         threads=max(1, share_threads(config)[0] // workers),
         horizon=config.horizon,
         reward=config.reward,
+        reward_weights=parse_weights(config.reward_weights),
         seed=config.seed + worker * WORKER_SEED,
         stagger=True,
         restart_fraction=config.restart_fraction,

@@ -18,6 +18,7 @@ from manip.training.state_check import (
     check_like,
     check_optimiser,
     check_rows,
+    check_steps,
 )
 
 
@@ -86,7 +87,7 @@ class ResumeCheck:
     def _filled_agent(self) -> Agent:
         """An agent like the run's that has stored one rollout, of zeros."""
         batch = self._collector.example().batch
-        options: Any = self._config.agent
+        options: Any = self._config.agent  # of an algorithm with a replay buffer
         options = replace(options, buffer_size=max(1, batch.numel()))
         agent = build_agent(replace(self._config, agent=options), self._env)
         agent.update(batch)
@@ -96,10 +97,20 @@ class ResumeCheck:
         pending, trackers = state["pending"], new["trackers"]
         for tracker, saved in zip(trackers, state["trackers"], strict=True):
             tracker["milestones"] = self._milestones_of(tracker, saved)
-        check_like(state | {"pending": []}, new, "collector")
-        _check_range("number of rollouts", len(pending), len(new["envs"]))
+        self._check_envs(state["envs"], new["envs"])
+        check_like(state | {"pending": [], "envs": []}, new | {"envs": []}, "collector")
+        _check_range("rollouts of collector", len(pending), len(new["envs"]))
         for number, rollout in enumerate(pending):
             self._check_pending(rollout, f"collector/pending/{number}")
+
+    def _check_envs(self, states: list[Any], new: list[dict[str, Any]]) -> None:
+        """Check environments; `actions` has a row for each step of an episode."""
+        for number, (state, own) in enumerate(zip(states, new, strict=True)):
+            name = f"collector/envs/{number}"
+            check_keys(state, own, name)
+            for key, expected in own.items():
+                check = check_steps if key == "actions" else check_like
+                check(state[key], expected, f"{name}/{key}")
 
     def _milestones_of(self, new: dict[str, Any], saved: dict[str, Any]) -> Any:
         """Milestones [N, M] of episodes under way; None before the first step."""

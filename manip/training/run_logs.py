@@ -53,12 +53,18 @@ def read_metrics(path: Path) -> list[dict[str, str]]:
     """Rows of a run's metrics.csv; none if there is no such file.
 
     A last line without line break, which a killed run may leave, is left out.
+
+    Raises:
+        UserError: it is no table.
     """
     if not path.is_file():
         return []
-    with path.open(newline="") as file:
-        complete = [line for line in file if line.endswith("\n")]
-    return list(csv.DictReader(complete))
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            complete = [line for line in file if line.endswith("\n")]
+        return list(csv.DictReader(complete))
+    except (csv.Error, UnicodeError) as error:
+        raise UserError(f"{path} is damaged: {one_line(error)}") from error
 
 
 def check_wandb(project: str | None) -> None:

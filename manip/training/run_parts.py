@@ -14,7 +14,6 @@ from manip.training.evaluator import Evaluator
 from manip.training.fault_report import FaultReport
 from manip.training.memory import check_memory
 from manip.training.nan_guard import NanGuard
-from manip.training.reward_weights import effective_weights
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,8 @@ def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
     agent = build_agent(config, evaluator.env)
     guard = NanGuard(agent.optimisers(), config.faults == "stop")
     milestones = evaluator.env.batch.task.milestone_names
-    weights = effective_weights(envs[0].batch, config.reward_weights)
+    batch = envs[0].batch
+    weights = {name: batch.reward_weights[name] for name in batch.reward_names}
     return RunParts(
         envs=envs,
         agent=agent,

@@ -86,6 +86,18 @@ def check_rows(value: Any, expected: Any, name: str) -> int:
     return len(value)
 
 
+def check_steps(value: Any, expected: list[Any], name: str) -> None:
+    """Compare lists of rows, each of any number, one list for each environment.
+
+    Raises:
+        ValueError: the number of lists, a type or a width differs.
+    """
+    _require(isinstance(value, list), name, "must be a list")
+    _require(len(value) == len(expected), name, f"must have {len(expected)} items")
+    for number, rows in enumerate(value):
+        check_rows(rows, expected[number], f"{name}/{number}")
+
+
 def check_finite(tree: Any, expected: Any, name: str) -> None:
     """Check that all tensors of a tree are finite, where the expected ones are.
 
