@@ -49,10 +49,11 @@ def unknown(kind: str, asked: object, known: Iterable[str]) -> UserError:
     "unknown task 'Lfit': did you mean 'Lift'? known tasks: Lift, Reach".
     """
     names = {name.casefold(): name for name in known}
+    kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
     close = get_close_matches(shown(asked).strip("'").casefold(), names, n=1)
     hint = f"did you mean {names[close[0]]!r}? " if close else ""
     listing = ", ".join(names.values())
-    return UserError(f"unknown {kind} {shown(asked)}: {hint}known {kind}s: {listing}")
+    return UserError(f"unknown {kind} {shown(asked)}: {hint}known {kinds}: {listing}")
 
 
 def check_choice(kind: str, asked: str, known: Collection[str]) -> None:
