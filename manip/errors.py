@@ -37,7 +37,7 @@ def shown(value: object) -> str:
         return "a number too large to show"
 
 
-def one_line(error: Exception) -> str:
+def one_line(error: BaseException) -> str:
     """The start of an error's message, without line breaks."""
     return " ".join(str(error).split())[:200]
 
@@ -49,10 +49,10 @@ def unknown(kind: str, asked: object, known: Iterable[str]) -> UserError:
     "unknown task 'Lfit': did you mean 'Lift'? known tasks: Lift, Reach".
     """
     names = {name.casefold(): name for name in known}
-    kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
     close = get_close_matches(shown(asked).strip("'").casefold(), names, n=1)
     hint = f"did you mean {names[close[0]]!r}? " if close else ""
     listing = ", ".join(names.values())
+    kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
     return UserError(f"unknown {kind} {shown(asked)}: {hint}known {kinds}: {listing}")
 
 
@@ -60,3 +60,11 @@ def check_choice(kind: str, asked: str, known: Collection[str]) -> None:
     """Raise `UserError` unless `asked` is one of the `known` names."""
     if asked not in known:
         raise unknown(kind, asked, sorted(known))
+
+
+def out_of_memory(error: BaseException) -> bool:
+    """Whether an error says that memory ran out, in the words of any allocator."""
+    words = ("allocate memory", "out of memory", "bad_alloc", "start new thread")
+    return isinstance(error, MemoryError) or (
+        isinstance(error, RuntimeError) and any(word in str(error) for word in words)
+    )

@@ -1,23 +1,23 @@
-"""Which arm is simulated, and how it is controlled."""
+"""RobotConfig: the arm that is simulated, and its controller."""
 
 from typing import NamedTuple
 
-from manip.errors import UserError, check_choice
+from manip.errors import UserError, check_choice, shown
 
 ROBOTS = ("Panda", "Sawyer", "IIWA", "Kinova3", "Jaco", "XArm7")
 """Single, fixed-base arms with seven joints that robosuite 1.5.2 ships."""
 CONTROLLERS = ("OSC_POSE", "OSC_POSITION", "JOINT_POSITION")
-"""Action spaces whose control law the batch engine reproduces."""
+"""robosuite's controllers whose control law the batch engine reproduces."""
 CONTROL_FREQUENCIES = (10, 20, 25, 50, 100)
-"""Frequencies [Hz] at which stock observations fire once per step, in phase.
+"""Control frequencies [Hz] at which each robosuite step gives one new observation.
 
-At others (30, 40 Hz) robosuite's floating-point clocks drift and some steps return
-no new observation.
+At others (30, 40 Hz) robosuite's floating-point clocks drift, and some steps return
+the observation of the step before.
 """
 
 
 class RobotConfig(NamedTuple):
-    """An arm and how it is driven: `control_freq` in Hz, the rest as robosuite says."""
+    """An arm, its controller (robosuite's names) and the control frequency [Hz]."""
 
     arm: str = "Panda"
     controller: str = "OSC_POSE"
@@ -25,11 +25,17 @@ class RobotConfig(NamedTuple):
 
 
 def check_robot_config(robot: RobotConfig) -> None:
-    """Raise `UserError` for a robot, controller or control frequency that is not."""
+    """Raise `UserError` unless arm, controller and control frequency are supported."""
+    if not isinstance(robot, RobotConfig):
+        raise UserError(
+            "robot must be RobotConfig(arm, controller, control_freq), "
+            f"not {shown(robot)}"
+        )
     check_choice("robot", robot.arm, ROBOTS)
     check_choice("controller", robot.controller, CONTROLLERS)
     if robot.control_freq not in CONTROL_FREQUENCIES:
         raise UserError(
-            f"control frequency {robot.control_freq} Hz is not possible: robosuite keeps "
-            f"its clocks in phase only at {', '.join(map(str, CONTROL_FREQUENCIES))} Hz"
+            f"control_freq {shown(robot.control_freq)} is not supported: choose one "
+            f"of {', '.join(map(str, CONTROL_FREQUENCIES))} Hz (robosuite's clocks "
+            "stay in phase only at these)"
         )

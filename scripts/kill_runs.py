@@ -110,12 +110,17 @@ class Trial:
             child = self._start(self._whole, lambda: None)
             begun = _wait_for_lock(self._whole, child)
             _, status, used = os.wait4(child, 0)
-            assert status == 0, (self._folder / "log").read_text()
+            self._check(status)
             return used.ru_utime + used.ru_stime - begun
         steps = self._folder / "steps"
         child = self._start(self._whole, lambda: count_steps(self._whole, steps))
-        assert os.waitpid(child, 0)[1] == 0, (self._folder / "log").read_text()
+        self._check(os.waitpid(child, 0)[1])
         return len(steps.read_bytes())
+
+    def _check(self, status: int) -> None:
+        """Raise with the run's log if it did not end well."""
+        if status:
+            raise RuntimeError((self._folder / "log").read_text())
 
     def _attempt(self, run: Path, when: str, ahead: float | None) -> int:
         """Begin or resume a run, and kill it when it has gone that far."""

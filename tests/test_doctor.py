@@ -171,3 +171,33 @@ def test_a_cache_that_cannot_be_written_is_found(monkeypatch) -> None:
 @pytest.mark.slow
 def test_this_machine_is_fit() -> None:
     assert run(Doctor()) == 0
+
+
+@pytest.mark.parametrize(
+    ("detail", "remedy"),
+    [
+        (
+            "RuntimeError: cannot cache function 'mat2quat': no locator available",
+            doctor.CACHE_REMEDY,
+        ),
+        ("ValueError: NUMBA_NUM_THREADS must be positive", "environment variable"),
+        ("PermissionError: [Errno 13] Permission denied: '/x'", "HOME"),
+        ("AttributeError: mj_fullM", "pip install mujoco==3.8.1"),
+    ],
+)
+def test_the_remedy_fits_the_cause(detail: str, remedy: str) -> None:
+    assert remedy in doctor.remedy_of(detail, "pip install mujoco==3.8.1")
+
+
+def test_an_unwritable_home_is_not_mended_by_another_robosuite(monkeypatch, tmp_path):
+    source = 'raise RuntimeError("cannot cache function: no locator available")'
+    put_before(monkeypatch, tmp_path, "robosuite", source)
+    check = doctor.check_robosuite()
+    assert (check.ok, check.remedy) == (False, doctor.CACHE_REMEDY)
+
+
+def test_checks_hold_without_assertions(monkeypatch) -> None:
+    """`python -O` removes assert statements."""
+    monkeypatch.setenv("PYTHONOPTIMIZE", "1")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "/proc/no-such-folder")
+    assert not doctor.check_numba_cache().ok

@@ -80,7 +80,7 @@ def test_nothing_is_carried_over_to_a_worlds_next_episode() -> None:
     tracker = EpisodeTracker(2)
     tracker.update(step([True, True], [False, False], [[True, True]] * 2))
     (first,) = tracker.update(step([True, True], [True, False], [[True, True]] * 2))
-    assert (first.world, first.steps, first.first_success) == (0, 2, 1)
+    assert (first.env_id, first.steps, first.first_success) == (0, 2, 1)
     none = [[False, False]] * 2
     fresh, long = tracker.update(step([False, True], [True, True], none))
     assert fresh == Episode(0, 1, 0.5, False, False, False, None, (False, False))
@@ -107,8 +107,8 @@ def test_every_world_gives_the_same_number_of_episodes(each: int) -> None:
     """World 0 is over ten times as often as the others and counts no more for it."""
     env = Points([2, 20, 20, 20])
     found = run_episodes(env, still, 4 * each)
-    assert Counter(episode.world for episode in found) == dict.fromkeys(range(4), each)
-    assert all(e.steps == (2 if e.world == 0 else 20) for e in found)
+    assert Counter(episode.env_id for episode in found) == dict.fromkeys(range(4), each)
+    assert all(e.steps == (2 if e.env_id == 0 else 20) for e in found)
 
 
 def test_short_episodes_do_not_bias_the_mean() -> None:
@@ -118,7 +118,7 @@ def test_short_episodes_do_not_bias_the_mean() -> None:
 
 
 def test_a_split_that_is_not_even_is_refused() -> None:
-    with pytest.raises(ValueError, match="10 episodes do not split over 4 worlds"):
+    with pytest.raises(ValueError, match="10 episodes cannot be shared evenly by 4 environments"):
         run_episodes(Points([3] * 4), still, 10)
 
 
@@ -128,7 +128,7 @@ def test_the_policy_decides_and_the_watcher_sees_each_state_before_a_step() -> N
         Points([4], start=0.8),
         lambda observation: torch.full_like(observation, -1.0),
         1,
-        watch=lambda state: seen.append(state["observation"].item()),
+        callback=lambda state: seen.append(state["observation"].item()),
     )
     assert seen == pytest.approx([0.8, 0.6, 0.4, 0.2], abs=1e-6)
     assert episode.total_reward == pytest.approx(0.4 + 0.6 + 0.8 + 1.0)

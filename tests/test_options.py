@@ -1,9 +1,10 @@
-"""Options, whoever gives them and whatever they hold: an agent, or one line."""
+"""Any options, from files or command lines, build an agent or raise one line."""
 
-from dataclasses import fields, replace
+import math
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import UnionType
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import pytest
 import yaml
@@ -11,17 +12,17 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from manip.agents.agent import Spaces
+from manip.agents.registry import algorithm_names, load_algorithm
 from manip.agents.sac import SACConfig
 from manip.errors import UserError
+from manip.io.option_ranges import Range, check_options, ranges_of
 from manip.programs import cli, evaluate, render, replay, train
 from manip.programs.evaluate import Evaluate
-from manip.training.build import AGENTS
-from manip.training.config import ALGORITHMS, TrainConfig, from_dict, to_dict
-from manip.training.option_ranges import RANGES
+from manip.training.config import RENAMED, TrainConfig, from_dict, to_dict
 
 SPACES = Spaces(observation_dim=5, action_dim=7)
 
-DATACLASSES = [TrainConfig, *ALGORITHMS.values()]
+DATACLASSES = [TrainConfig, *(load_algorithm(n).Config for n in algorithm_names())]
 
 SMALL = {
     *("steps", "num_envs", "horizon", "eval_every", "eval_episodes", "threads"),
@@ -57,18 +58,46 @@ def numbers(cls: type) -> list[str]:
 
 @pytest.mark.parametrize("cls", DATACLASSES)
 def test_every_number_has_a_range_that_its_default_keeps(cls: type) -> None:
-    assert set(numbers(cls)) <= set(RANGES)
+    assert set(numbers(cls)) == set(ranges_of(cls))
     cls()
 
 
-def test_no_range_is_of_an_option_that_is_not() -> None:
-    assert set(RANGES) == {name for cls in DATACLASSES for name in numbers(cls)}
+@dataclass(frozen=True)
+class Own:
+    """Options of somebody else's algorithm."""
+
+    beta: Annotated[float, Range(0.5, 2)] = 1.0
+    widths: Annotated[tuple[int, ...], Range(1, 9)] = (4,)
+    bare: float | None = None
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"beta": 0.4}, "beta must be at least 0.5, not 0.4"),
+        ({"beta": 3.0}, "beta must be at most 2, not 3.0"),
+        ({"widths": (4, 0)}, "widths must be at least 1, not 0"),
+        ({"bare": math.nan}, "bare must be a finite number, not nan"),
+    ],
+)
+def test_ranges_of_any_dataclass_are_checked(values, message) -> None:
+    check_options(Own())
+    with pytest.raises(UserError) as error:
+        check_options(Own(**values))
+    assert str(error.value) == message
+
+
+@pytest.mark.parametrize(("old", "new"), RENAMED.items())
+def test_an_old_name_of_an_option_leads_to_the_new_one(old: str, new: str) -> None:
+    with pytest.raises(UserError, match=f"the option {old} is now called {new}"):
+        from_dict({old: 1})
 
 
 @st.composite
 def likely(draw: st.DrawFn, cls: type, name: str) -> Any:
     """A value at, in or just out of an option's range, of the right type or not."""
-    least, most = RANGES[name]
+    allowed = ranges_of(cls)[name]
+    least, most = allowed.least, allowed.most
     most = min(most, 9) if name in SMALL else most
     number = st.sampled_from([least, most, least - 1, most + 1])
     if float in kinds(cls, name):
@@ -82,8 +111,8 @@ def likely(draw: st.DrawFn, cls: type, name: str) -> Any:
 @st.composite
 def configurations(draw: st.DrawFn) -> dict[str, Any]:
     """A configuration of which two options or so are not as they should be."""
-    algo = draw(st.sampled_from(sorted(ALGORITHMS)))
-    cls = ALGORITHMS[algo]
+    algo = draw(st.sampled_from(algorithm_names()))
+    cls = load_algorithm(algo).Config
     values: dict[str, Any] = {"algo": algo, "agent": {}}
     for name in draw(st.lists(st.sampled_from(numbers(cls)), max_size=3)):
         values["agent"][name] = draw(likely(cls, name) | odd)
@@ -100,7 +129,7 @@ def built(values: dict[str, Any]) -> TrainConfig | str:
     """The configuration, if an agent can be built by it, or why it cannot."""
     try:
         config = from_dict(values)
-        AGENTS[type(config.agent)](config.agent, SPACES)
+        load_algorithm(config.algo)(config.agent, SPACES)
     except UserError as error:
         return str(error)
     return config
@@ -156,15 +185,13 @@ words = st.sampled_from(
 command_lines = st.lists(flags | words | st.text(max_size=5), max_size=6)
 
 
-class Unwilling:
-    """A trainer that never trains."""
-
-    def __init__(self, config: TrainConfig) -> None:
-        raise UserError(f"not today: {config.steps}")
+def unwilling(config: TrainConfig, **_: Any) -> None:
+    """Train never."""
+    raise UserError(f"not today: {config.steps}")
 
 
 def assert_answered_in_a_line(program: str, line: list[str], patch, capfd) -> None:
-    patch.setattr(train, "Trainer", Unwilling)
+    patch.setattr(train, "train", unwilling)
     capfd.readouterr()
     code = cli.run(PROGRAMS[program].main, line)
     said = capfd.readouterr().err

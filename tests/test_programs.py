@@ -1,13 +1,18 @@
-"""Programs from their command lines: what they make, say and refuse."""
+"""Programs from their command lines: what they write, print and refuse."""
 
+import contextlib
 import json
+import os
 import runpy
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import imageio_ffmpeg
@@ -15,13 +20,14 @@ import pytest
 import yaml
 
 from manip.agents.policy import WEIGHTS, load_policy
-from manip.envs.backends.external_batch import external_names
+from manip.agents.registry import algorithm_names
+from manip.envs.external_task import external_names
 from manip.envs.task_registry import task_names
 from manip.evaluation import runners as evaluation
-from manip.programs import cli, main
+from manip.programs import cli, evaluate, main, render
 from manip.robot_config import CONTROLLERS, ROBOTS
 from manip.sim import gl
-from manip.training.config import ALGORITHMS, recipe_names
+from manip.training.config import recipe_names
 
 ROOT = Path(__file__).parents[1]
 
@@ -37,15 +43,9 @@ LAUGHS = "task:\n- &a0 [ha]\n" + "".join(
 """YAML that is short, and huge when written out."""
 
 CONTRACT = {
-    *("task", "robot", "algo", "env", "fidelity", "episodes", "seed"),
-    *(
-        "env_steps_trained",
-        "success",
-        "return_mean",
-        "milestones",
-        "seconds",
-        "versions",
-    ),
+    *("task", "robot", "algo", "env", "fidelity", "episodes", "seed", "purpose"),
+    *("env_steps_trained", "success", "return_mean", "milestones"),
+    *("seconds", "versions"),
 }
 """Keys that readers of eval.json rely on."""
 
@@ -82,7 +82,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_train_says_where_the_policy_lies(manip: Manip, tmp_path: Path) -> None:
+def test_train_prints_the_policys_path(manip: Manip, tmp_path: Path) -> None:
     found = manip("train", *TINY, "--seed", "5")
     folder = Path("runs") / "Reach-ppo-5"
     assert found.code == 0
@@ -105,7 +105,7 @@ def test_a_recipe_sets_what_the_command_line_leaves_open(manip: Manip) -> None:
     assert recorded["steps"] == 64
 
 
-def judged(manip: Manip, run: Path, *options: str) -> dict:
+def evaluated(manip: Manip, run: Path, *options: str) -> dict:
     found = manip("evaluate", str(run), "--json", "new/eval.json", *options)
     assert found.code == 0, found.err
     assert "Reach · Panda · ppo" in found.out
@@ -134,20 +134,20 @@ def assert_contract(result: dict, env: str, episodes: int, seed: int) -> None:
 
 def test_native_evaluation_writes_the_contract_and_repeats_itself(manip, run) -> None:
     options = ("--env", "native", "--episodes", "3", "--seed", "7")
-    first, second = (judged(manip, run, *options) for _ in range(2))
+    first, second = (evaluated(manip, run, *options) for _ in range(2))
     assert_contract(first, "native", 3, 7)
     assert first["fidelity"] == "exact"
     for result in (first, second):
         del result["seconds"]
     assert first == second
-    fast = judged(manip, run, *options, "--fidelity", "fast")
+    fast = evaluated(manip, run, *options, "--fidelity", "fast")
     assert fast["fidelity"] == "fast"
     assert fast["return_mean"] != first["return_mean"]
 
 
 def test_stock_evaluation_writes_the_contract(manip, run, monkeypatch) -> None:
     monkeypatch.setattr(evaluation, "usable_cpus", lambda: 1)
-    result = judged(manip, run, "--episodes", "2", "--seed", "3")
+    result = evaluated(manip, run, "--episodes", "2", "--seed", "3")
     assert_contract(result, "stock", 2, 3)
     assert result["fidelity"] == "exact"
 
@@ -157,7 +157,7 @@ def test_stock_episodes_do_not_depend_on_the_workers(manip, run, monkeypatch) ->
     results = []
     for workers in (1, 2):
         monkeypatch.setattr(evaluation, "usable_cpus", lambda n=workers: n)
-        results.append(judged(manip, run, "--episodes", "3"))
+        results.append(evaluated(manip, run, "--episodes", "3"))
         del results[-1]["seconds"]
     assert results[0] == results[1]
 
@@ -167,7 +167,7 @@ def test_list_names_everything_there_is(manip: Manip) -> None:
     assert found["tasks"] == task_names() != []
     assert found["external_tasks"] == external_names() != []
     assert found["robots"] == list(ROBOTS)
-    assert found["algorithms"] == list(ALGORITHMS)
+    assert found["algorithms"] == algorithm_names()
     assert found["action_spaces"] == list(CONTROLLERS)
     assert found["recipes"] == recipe_names() != []
     assert isinstance(found["policies"], list)
@@ -176,7 +176,7 @@ def test_list_names_everything_there_is(manip: Manip) -> None:
 
 
 @pytest.mark.skipif(gl.find_backend() is None, reason=gl.INSTALL_HINT)
-def test_render_films_the_steps_asked_for(manip: Manip, run: Path) -> None:
+def test_render_shows_the_requested_steps(manip: Manip, run: Path) -> None:
     size = ("--width", "96", "--height", "64")
     found = manip("render", str(run), "--steps", "5", "--episodes", "2", *size)
     assert (found.code, found.out) == (0, "video.mp4\n")
@@ -220,11 +220,12 @@ def refusal(found: Result) -> str:
 
 
 @pytest.mark.parametrize(
-    ("command", "told"),
+    ("command", "message"),
     [
         ("trian", "unknown program 'trian': did you mean 'train'? known programs: "),
         ("train --task Raech", "did you mean 'Reach'? known tasks: .*Lift.*Reach"),
         ("train --task no.module:Task", "cannot import task 'no.module:Task'"),
+        ("train --task /tmp/press.py", "package.module:Class for a class of your own"),
         ("train --task json:dumps", "must be a subclass of manip.envs.Task"),
         ("train --algo ddqn", "unknown algorithm 'ddqn': did you mean 'dqn'.*sac"),
         ("train --robot panda", "did you mean 'Panda'? known robots: "),
@@ -243,11 +244,15 @@ def refusal(found: Result) -> str:
             "learning_rate must be at least 0, not nan",
         ),
         ("train --agent.actor-hidden -3", "actor_hidden must be at least 1, not -3"),
-        ("train --num-envs 10000000000 --steps 1", "not enough memory"),
+        ("train --algo ppo --num-envs 10000000000 --steps 1", "not enough memory"),
+        ("train --lr 3", "did you mean --agent.learning-rate?"),
         ("train --stepz 3", "Unrecognized options: --stepz.*--steps INT"),
         ("train --agent.gama 1", "Unrecognized options: --agent.gama.*--agent.gamma"),
         ("train --algo ppo --agent.tau 1", "Unrecognized options: --agent.tau, 1"),
-        ("train --agent.action-scale 1 1", "action_scale has 2 numbers, the action"),
+        (
+            "train --agent.action-scale 1 1",
+            "agent.action_scale has 2 numbers, but OSC_POSE",
+        ),
         ("train Reach", "Unrecognized options: Reach"),
         ("train --out", "Missing value for argument '--out'"),
         ("train --wandb mine", "--wandb needs a package that is not there"),
@@ -256,38 +261,144 @@ def refusal(found: Result) -> str:
         ("train --resume --out nowhere", "there is no nowhere/config.yaml"),
         ("evaluate", "Missing from manip evaluate: PATH"),
         ("evaluate nowhere", "nowhere holds no policy .*is it a run folder"),
-        ("evaluate RUN --env gazebo", "Expected one of ('stock', 'native')"),
+        ("evaluate RUN --env gazebo", "Expected one of ('native', 'stock')"),
         ("evaluate RUN --episodes 0", "--episodes must be at least 1, not 0"),
+        ("evaluate RUN --episodes 200000", "--episodes must be at most 100000"),
+        ("evaluate RUN --json .", "--json . is a folder: name a file"),
+        (
+            "evaluate RUN --json /dev/null/x",
+            "--json /dev/null/x: /dev/null is not",
+        ),
         (f"evaluate RUN --episodes {10**20}", "--episodes must be at most 10000000000"),
         ("evaluate RUN --seed -1", "--seed must be at least 0, not -1"),
         ("render nowhere", "nowhere holds no policy"),
         ("render RUN --steps 0", "--steps must be at least 1, not 0"),
         ("render RUN --width 0", "--width must be at least 1, not 0"),
+        ("render RUN --width 100000", "--width must be at most 4096"),
+        ("render RUN --episodes 100000", "--episodes must be at most 1000"),
+        ("render RUN --out film.avi", "known file formats: .mp4, .gif"),
+        ("render RUN --out /proc/film.mp4", "/proc is not writable"),
+        ("results --readme .", "--readme . is a folder: name a file"),
         ("list --jsn", "Unrecognized options: --jsn.*--json"),
         ("doctor --jsn", "Unrecognized options: --jsn"),
     ],
 )
 def test_mistakes_are_one_line_and_leave_nothing(
-    command: str, told: str, manip: Manip, run: Path
+    command: str, message: str, manip: Manip, run: Path
 ) -> None:
     arguments = [str(run) if a == "RUN" else a for a in command.split()]
     line = refusal(manip(*arguments))
-    at = 0
-    for piece in told.split(".*"):
-        assert piece in line[at:], line
-        at = line.index(piece, at)
+    start = 0
+    for piece in message.split(".*"):
+        assert piece in line[start:], line
+        start = line.index(piece, start)
 
 
 @pytest.mark.skipif(gl.find_backend() is None, reason=gl.INSTALL_HINT)
-def test_mistakes_about_pictures_name_what_exists(manip: Manip, run: Path) -> None:
-    camera = manip("render", str(run), "--camera", "frontveiw", "--steps", "1")
+def test_an_unknown_camera_is_refused_before_the_episodes(
+    manip: Manip, run: Path, monkeypatch
+) -> None:
+    monkeypatch.setattr(render, "run_episodes", None)
+    camera = manip("render", str(run), "--camera", "frontveiw")
     assert "did you mean 'frontview'? known cameras: workspace," in refusal(camera)
-    kind = manip("render", str(run), "--out", "film.avi", "--steps", "1")
-    assert "known animation formats: .mp4, .gif" in refusal(kind)
+
+
+def with_card(run: Path, folder: Path, **changes: object) -> Path:
+    """A copy of a run whose policy has another card."""
+    shutil.copytree(run, folder)
+    policy = load_policy(folder)
+    replace(policy, card=replace(policy.card, **changes)).save(folder / "policy")
+    return folder
+
+
+def test_a_task_of_another_library_is_not_rendered(manip, run, monkeypatch) -> None:
+    monkeypatch.setattr(render, "make_env", lambda *_: SimpleNamespace(batch=other))
+    other = SimpleNamespace(task=SimpleNamespace(name="dm_control/reach"))
+    monkeypatch.setattr(render, "run_episodes", None)
+    line = refusal(manip("render", str(run)))
+    assert "dm_control/reach is not stepped by the batch engine" in line
+
+
+def test_a_cards_text_is_shown_inert(manip, run, tmp_path, monkeypatch) -> None:
+    text = "[red]ppo[/red] [/nonsense] \x1b[2J\n"
+    folder = with_card(run, tmp_path.parent / f"{tmp_path.name}-run", algo=text)
+    options = ("--env", "native", "--episodes", "1", "--json", "eval.json")
+    result = manip("evaluate", str(folder), *options)
+    assert result.code == 0, result.err
+    title = " ".join(result.out.split("┏")[0].split())
+    assert r"[red]ppo[/red] [/nonsense] \x1b[2J\n" in title
+    assert "\x1b" not in result.out
+    assert json.loads(Path("eval.json").read_text())["algo"] == text
+
+
+def test_a_result_is_saved_before_it_is_printed(
+    run, tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    def fail(result: object) -> None:
+        raise RuntimeError("a table that cannot be drawn")
+
+    monkeypatch.setattr(evaluate, "table", fail)
+    options = ["--env", "native", "--episodes", "1", "--json", "eval.json"]
+    with pytest.raises(RuntimeError, match="cannot be drawn"):
+        cli.run(evaluate.main, [str(run), *options])
+    assert json.loads(Path("eval.json").read_text())["episodes"] == 1
+
+
+def children(pid: int) -> set[int]:
+    """Processes that descend from one."""
+    parents = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            fields = stat.read_text().rpartition(")")[2].split()
+            parents[int(stat.parent.name)] = int(fields[1])
+    found, fresh = set(), {pid}
+    while fresh:
+        fresh = {child for child, parent in parents.items() if parent in fresh}
+        found |= fresh
+    return found
+
+
+def running(pid: int) -> bool:
+    with contextlib.suppress(OSError):
+        return "Z" not in Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2][:3]
+    return False
+
+
+WORKERS = """
+import signal, sys
+from manip.evaluation import runners
+from manip.programs import cli, evaluate
+runners.usable_cpus = lambda: 2
+sys.exit(cli.run(evaluate.main, [*sys.argv[1:], "--episodes", "100000"]))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_a_killed_evaluation_leaves_no_workers(run: Path, number: int) -> None:
+    program = subprocess.Popen(
+        [sys.executable, "-c", WORKERS, str(run)],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        stderr=subprocess.DEVNULL,
+    )
+    workers: set[int] = set()
+    deadline = time.monotonic() + 120
+    while len(workers) < 3 and time.monotonic() < deadline:  # and resource tracker
+        time.sleep(0.2)
+        workers |= children(program.pid)
+    program.send_signal(number)
+    program.wait(30)
+    while any(map(running, workers)) and time.monotonic() < deadline:
+        time.sleep(0.2)
+    assert len(workers) >= 2
+    assert not any(map(running, workers))
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("{", "is damaged: "),
         ("just text", "is damaged: it holds no options"),
@@ -301,23 +412,25 @@ def test_mistakes_about_pictures_name_what_exists(manip: Manip, run: Path) -> No
         ("task: '..:x'", "cannot import task '..:x': TypeError: "),
     ],
 )
-def test_a_damaged_config_is_told_when_resuming(text, told, manip, tmp_path) -> None:
+def test_a_damaged_config_is_refused_when_resuming(
+    text, message, manip, tmp_path
+) -> None:
     folder = tmp_path.parent / f"{tmp_path.name}-run"
     folder.mkdir()
     (folder / "config.yaml").write_text(text)
-    assert told in refusal(manip("train", "--resume", "--out", str(folder)))
+    assert message in refusal(manip("train", "--resume", "--out", str(folder)))
 
 
-def test_too_little_memory_is_told(capsys) -> None:
+def test_too_little_memory_is_one_line(capsys) -> None:
     def greedy(arguments: object) -> int:
         raise MemoryError("Unable to allocate 12. TiB")
 
     assert cli.run(greedy, []) == 2
-    told = "manip: error: not enough memory: Unable to allocate 12. TiB\n"
-    assert capsys.readouterr().err == told
+    message = "manip: error: not enough memory: Unable to allocate 12. TiB\n"
+    assert capsys.readouterr().err == message
 
 
-def test_a_damaged_policy_is_told(manip: Manip, run: Path, tmp_path: Path) -> None:
+def test_a_damaged_policy_is_refused(manip: Manip, run: Path, tmp_path: Path) -> None:
     folder = tmp_path.parent / f"{tmp_path.name}-run"
     shutil.copytree(run, folder)
     (folder / "policy" / WEIGHTS).write_bytes(b"{}")
@@ -325,19 +438,18 @@ def test_a_damaged_policy_is_told(manip: Manip, run: Path, tmp_path: Path) -> No
         assert "is damaged or not a manip file" in refusal(manip(program, str(folder)))
 
 
-def test_a_policy_of_another_observation_is_told(manip, run, tmp_path) -> None:
+def test_a_policy_of_another_observation_is_refused(manip, run, tmp_path) -> None:
     folder = tmp_path.parent / f"{tmp_path.name}-run"
-    shutil.copytree(run, folder)
-    policy = load_policy(folder)
-    first, second, *_ = policy.card.layout
-    parts = policy.card.layout[first], policy.card.layout[second]
-    swapped = policy.card.layout | dict(zip((second, first), parts, strict=True))
-    replace(policy, card=replace(policy.card, layout=swapped)).save(folder / "policy")
-    told = f"trained on another observation than Reach shows: {first}, {second} differ"
+    layout = load_policy(run).card.layout
+    first, second, *_ = layout
+    parts = layout[first], layout[second]
+    swapped = layout | dict(zip((second, first), parts, strict=True))
+    with_card(run, folder, layout=swapped)
+    message = "manip: error: the policy was trained on another observation than "
     for program in ("evaluate --env native", "evaluate --env stock", "render"):
-        found = manip(*program.split(), str(folder), "--episodes", "1")
-        assert (found.code, found.out) == (2, "")
-        assert found.err.strip() == f"manip: error: the policy was {told}"
+        result = manip(*program.split(), str(folder), "--episodes", "1")
+        assert (result.code, result.out) == (2, "")
+        assert result.err.strip().startswith(message)
 
 
 def test_the_installed_command_refuses_as_programs_do(tmp_path: Path) -> None:

@@ -21,10 +21,10 @@ from toy import (
     train,
 )
 
+from manip.agents.agent import AgentConfig
 from manip.agents.on_policy import OnPolicy
 from manip.agents.value_targets import add_values, n_step_advantages
 from manip.errors import UserError
-from manip.training.config import AgentConfig
 
 IDENTITY = ValueOperator(nn.Identity(), in_keys=["observation"])
 """V(s) = s."""

@@ -1,4 +1,4 @@
-"""What the shipped recipes reach: stored, shown, and reproduced."""
+"""Results of the shipped recipes: stored, shown, and reproduced."""
 
 import json
 from dataclasses import replace
@@ -6,18 +6,20 @@ from pathlib import Path
 
 import pytest
 
-from manip.agents import policy
+from manip.agents import policy as policy_files
 from manip.agents.policy import load_policy, shipped_policies
-from manip.envs.backends.native_batch import NativeBatch
-from manip.envs.task_registry import load_task
+from manip.envs.episode_streams import CHOICE, EVALUATION
 from manip.errors import UserError
-from manip.evaluation import runners as evaluation
-from manip.evaluation.shipped_results import Results, Run, load_results, markdown
-from manip.programs import cli, reproduce
+from manip.evaluation.episodes import Episode
+from manip.evaluation.results_table import HEADER, markdown, rows
+from manip.evaluation.runners import EpisodeSettings, make_env
+from manip.evaluation.shipped_results import Result, Results, Run, load_results
+from manip.programs import cli, evaluate, reproduce
+from manip.programs import ship_policy as shipping
 from manip.programs.results import with_table
 from manip.robot_config import ROBOTS
 from manip.training.config import recipe_names, recipes
-from manip.training.trainer import begin_or_resume
+from manip.training.run import train_or_resume
 
 README = (Path(__file__).parents[1] / "README.md").read_text()
 
@@ -48,18 +50,17 @@ def test_a_shipped_policy_loads_and_has_a_result(name: str) -> None:
     run = load_results().run((card.task, card.robot, card.algo), card.seed)
     assert run
     assert run.env_steps >= card.env_steps
-    assert run.rate.rate >= reproduce.WORTH
+    assert run.rate.rate >= shipping.WORTH
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", shipped_policies())
 def test_a_shipped_policy_fits_its_task(name: str) -> None:
     card = load_policy(name).card
-    rig = card.robot_config
-    worlds = NativeBatch(load_task(card.task), 1, robot=rig, threads=1)
-    assert worlds.action_dim == card.action_dim
-    found = {name: [part.start, part.stop] for name, part in worlds.layout.items()}
-    assert found == card.layout
+    env = make_env(
+        EpisodeSettings(card.task, card.robot_config, card.layout, backend="native")
+    )
+    assert env.batch.action_dim == card.action_dim
 
 
 def test_results_survive_their_file(tmp_path: Path) -> None:
@@ -71,44 +72,93 @@ def test_results_survive_their_file(tmp_path: Path) -> None:
         load_results(tmp_path / "results.yaml")
 
 
+def result_of(*held: int, choice: tuple[float, ...] = ()) -> Result:
+    """A result of Reach whose seeds 0, 1, ... held so many of 100 episodes."""
+    rates = choice or (None,) * len(held)
+    runs = tuple(
+        Run(seed, count, 100, 64, 2.0, rate)
+        for seed, (count, rate) in enumerate(zip(held, rates, strict=True))
+    )
+    return Result("Reach", "Panda", "ppo", False, "a machine", runs)
+
+
 @pytest.mark.parametrize(
-    ("held", "before", "found"),
+    ("held", "before", "expected"),
     [
-        (97, 99, "agrees"),
-        (80, 99, "worse"),
-        (99, 80, "better"),
-        (97, None, "new"),
+        ((97, 96, 98), (99, 95, 97), "agrees"),
+        ((100, 89, 95), (100, 96, 95, 98, 89), "agrees"),
+        ((60, 65, 58), (99, 95, 97), "worse"),
+        ((99, 95, 97), (60, 65, 58), "better"),
+        ((0,), (100,), "cannot tell"),
+        ((97, 96, 98), (), "new"),
     ],
 )
-def test_runs_compare_by_their_intervals(held, before, found) -> None:
-    run = Run(0, held, 100, 80_000, 2.0)
-    stored = None if before is None else replace(run, success_held=before)
-    assert reproduce.verdict(run, stored) == found
+def test_recipes_are_compared_over_their_seeds(held, before, expected) -> None:
+    stored = Results({}, (result_of(*before),) if before else ())
+    assert reproduce.verdict(result_of(*held), stored) == expected
 
 
-def asked(*what: str, robot: str | None = None) -> list[tuple[str, str, str]]:
+def test_a_row_says_how_many_seeds_its_interval_covers() -> None:
+    several, single = result_of(90, 100, 95), result_of(95)
+    first, second = rows(Results({}, ()), [several, single])
+    seeds, rate = HEADER.index("seeds"), HEADER.index("success_held [%]")
+    assert (first[seeds], second[seeds]) == ("3", "1")
+    assert first[rate].startswith("95 (")
+    assert second[rate] == "95 (89-98)*"
+    low, high = several.rate.low, several.rate.high
+    assert high - low > single.rate.high - single.rate.low
+    assert "one seed: over episodes only" in markdown(Results({}, (single,)))
+
+
+def shipped_by(tmp_path: Path, result: Result, stored: Results) -> list[int]:
+    """Seeds of the policies that a result ships; each seed has a policy of its own."""
+    card = load_policy("Reach").card
+    folders = {}
+    for run in result.runs:
+        folders[run.seed] = tmp_path / str(run.seed)
+        policy = load_policy("Reach")
+        seeded = replace(card, seed=run.seed, algo="ppo")
+        replace(policy, card=seeded).save(folders[run.seed] / "policy")
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (policy_files, shipping):
+            patch.setattr(module, "SHIPPED", tmp_path / "policies")
+        shipping.ship_policy(result, folders, stored)
+        return [load_policy(folder).card.seed for folder in shipped_policies().values()]
+
+
+def test_the_shipped_seed_is_chosen_in_other_episodes_than_the_results(tmp_path):
+    """Seed 0 has the best result by chance; seed 1 is best where seeds are chosen."""
+    result = result_of(100, 97, 98, choice=(0.93, 0.99, 0.95))
+    assert shipped_by(tmp_path, result, Results({}, ())) == [1]
+
+
+def test_a_policy_that_fails_where_seeds_are_chosen_is_not_shipped(tmp_path) -> None:
+    assert shipped_by(tmp_path, result_of(95, choice=(0.89,)), Results({}, ())) == []
+
+
+def keys(*what: str, robot: str | None = None) -> list[tuple[str, str, str]]:
     options, stored = reproduce.Reproduce(what, robot), load_results()
     jaco = replace(stored.results[0], task="Lift", algo="sac", robot="Jaco")
-    found = reproduce.chosen(options, replace(stored, results=(jaco,)))
-    return [reproduce._key(config) for config in found]
+    configs = reproduce.chosen(options, replace(stored, results=(jaco,)))
+    return [(config.task, config.robot, config.algo) for config in configs]
 
 
 def test_recipes_are_found_by_name_task_and_arm() -> None:
-    assert asked("lift-sac") == [("Lift", "Panda", "sac"), ("Lift", "Jaco", "sac")]
-    assert asked("lift-sac", robot="IIWA") == [("Lift", "IIWA", "sac")]
+    assert keys("lift-sac") == [("Lift", "Panda", "sac"), ("Lift", "Jaco", "sac")]
+    assert keys("lift-sac", robot="IIWA") == [("Lift", "IIWA", "sac")]
     algos = {name.split("-", 1)[1] for name in recipe_names() if "lift-" in name}
     pandas = {("Lift", "Panda", algo) for algo in algos}
-    assert {*asked("Lift")} == {*pandas, ("Lift", "Jaco", "sac")}
-    assert len(asked("all", robot="Panda")) == len(recipe_names())
+    assert {*keys("Lift")} == {*pandas, ("Lift", "Jaco", "sac")}
+    assert len(keys("all", robot="Panda")) == len(recipe_names())
     with pytest.raises(UserError, match="unknown recipe 'Lfit': did you mean 'Lift'"):
-        asked("Lfit")
+        keys("Lfit")
     with pytest.raises(UserError, match="reproduce what"):
-        asked()
+        keys()
 
 
 @pytest.fixture
 def tiny(monkeypatch, tmp_path: Path) -> Path:
-    """One tiny recipe, and where its results are stored."""
+    """One tiny recipe whose policies fail, and the file of its results."""
     config = recipes()["reach-ppo"]
     agent = replace(
         config.agent, rollout_length=8, actor_hidden=(8,), critic_hidden=(8,)
@@ -121,37 +171,70 @@ def tiny(monkeypatch, tmp_path: Path) -> Path:
     monkeypatch.setattr(reproduce, "recipes", lambda robot=None: {"reach-ppo": config})
     monkeypatch.setattr(reproduce, "load_results", lambda: load_results(results))
     monkeypatch.setattr(reproduce, "RESULTS", results)
-    for module in (policy, reproduce):
+    for module in (policy_files, shipping):
         monkeypatch.setattr(module, "SHIPPED", tmp_path / "policies")
-    monkeypatch.setattr(evaluation, "usable_cpus", lambda: 1)
+    failed = Episode(0, 9, 1.0, False, False, False, None, (False, False))
+    for module in (reproduce, evaluate):
+        monkeypatch.setattr(module, "evaluate_policy", lambda *_: [failed])
     return results
 
 
 def test_a_recipe_is_reproduced_and_compared(tiny: Path, tmp_path: Path) -> None:
-    found = tmp_path / "found.json"
-    command = ["Reach", "--seeds", "1", "--episodes", "1", "--out", str(tmp_path)]
+    record = tmp_path / "record.json"
+    command = ["Reach", "--seeds", "2", "--episodes", "1", "--out", str(tmp_path)]
     assert cli.run(reproduce.main, [*command, "--write"]) == 0
     (result,) = load_results(tiny).results
-    (run,) = result.runs
-    assert (result.key, run.seed) == (("Reach", "Panda", "ppo"), 0)
+    assert (result.key, [run.seed for run in result.runs]) == (
+        ("Reach", "Panda", "ppo"),
+        [0, 1],
+    )
+    run = result.runs[0]
     assert (run.success_held, run.episodes, run.env_steps) == (0, 1, 64)
-    assert shipped_policies() == {}  # it did not hold
-    good = replace(result, runs=(replace(run, success_held=1),))
-    reproduce._ship_policy(good, tmp_path, load_results(tiny))
-    assert load_policy("Reach").card.env_steps == 64
-    better = replace(result, runs=(replace(run, success_held=100, episodes=100),))
+    assert run.choice_rate == 0
+    assert shipped_policies() == {}  # no episode was held
+    better = replace(result, runs=(replace(run, success_held=100, episodes=100),) * 3)
     Results({}, (better,)).save(tiny)
-    assert cli.run(reproduce.main, [*command, "--json", str(found)]) == 1
-    (row,) = json.loads(found.read_text())["results"]
-    assert row["runs"][0]["verdict"] == "worse"
-    assert row["runs"][0]["shipped"]["rate"] == 1.0
+    assert cli.run(reproduce.main, [*command, "--json", str(record)]) == 1
+    (row,) = json.loads(record.read_text())["results"]
+    assert (row["verdict"], row["seeds"], row["shipped_seeds"]) == ("worse", 2, 3)
+    assert row["interval_covers"] == "seeds and episodes"
+    assert row["rate"].keys() == row["shipped"].keys() == {"rate", "low", "high"}
+    assert (row["shipped"]["rate"], row["rate"]["rate"]) == (1.0, 0.0)
     assert (row["runs"][0]["success_held"], row["runs"][0]["env_steps"]) == (0, 64)
     assert load_results(tiny).results == (better,)
+
+
+def test_results_are_of_other_episodes_than_the_choice(tiny, tmp_path, monkeypatch):
+    used = []
+
+    def record(policy, settings, *progress):
+        used.append((settings.purpose, settings.backend))
+        return [Episode(0, 9, 1.0, True, True, True, 3, (True, True))]
+
+    for module in (reproduce, evaluate):
+        monkeypatch.setattr(module, "evaluate_policy", record)
+    command = ["Reach", "--seeds", "1", "--episodes", "1", "--out", str(tmp_path)]
+    assert cli.run(reproduce.main, command) == 0
+    assert used == [(EVALUATION, "stock"), (CHOICE, "native")]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--json", "."), "--json . is a folder: name a file"),
+        (("--out", "/dev/null"), "--out /dev/null is not a folder"),
+        (("--seeds", "100000000"), "--seeds must be at most 1000"),
+        (("--episodes", "100000000"), "--episodes must be at most 100000"),
+    ],
+)
+def test_reproduce_refuses_before_it_trains(tiny, options, message, capsys) -> None:
+    assert cli.run(reproduce.main, ["Reach", *options]) == 2
+    assert capsys.readouterr().err.startswith(f"manip: error: {message}")
 
 
 def test_a_run_with_other_options_is_not_taken_up(tiny: Path, tmp_path: Path) -> None:
     (config,) = reproduce.recipes().values()
     folder = tmp_path / "run"
-    begin_or_resume(replace(config, out=folder)).run()
+    train_or_resume(replace(config, out=folder))
     with pytest.raises(UserError, match="cannot go on with other options"):
-        begin_or_resume(replace(config, out=folder, seed=1)).run()
+        train_or_resume(replace(config, out=folder, seed=1))

@@ -1,4 +1,4 @@
-"""SAC: losses against TorchRL's and by hand, targets, schedules, replay, learning."""
+"""SAC: losses against TorchRL's and by hand, targets, schedules, learning."""
 
 from dataclasses import replace
 
@@ -354,22 +354,6 @@ def test_the_deployed_actor_is_an_exponential_average() -> None:
     assert not torch.equal(weight, learning)
 
 
-def test_buffer_holds_the_true_successor_also_at_an_episodes_end() -> None:
-    agent = make_agent(replace(QUICK_SAC, random_steps=1_000, n_step=1), seed=0)
-    rollout = Rollout(Points([3, 4], start=0.5))
-    for _ in range(4):
-        agent.update(rollout.collect(agent.policy(), 3).batch)
-    stored = agent.extra_state()["buffer"]
-    x, action, following, reward, steps, terminated = stored.T
-    assert len(x) == 24
-    assert (x == 0.5).sum() == 4 + 3
-    assert not terminated.any()
-    assert (steps == 1).all()
-    expected = (x + 0.2 * action).clamp(-1, 1)
-    torch.testing.assert_close(following, expected)
-    torch.testing.assert_close(reward, 1 - expected.abs())
-
-
 def n_steps_by_hand(batch: TensorDict, world: int, t: int, n: int, gamma: float):
     """Return, number of steps and last step of the transition that begins at t."""
     after, total, steps = batch["next"][world], 0.0, 0
@@ -397,23 +381,6 @@ def test_n_steps_end_with_the_episode_and_with_the_rollout(n: int) -> None:
                 assert torch.equal(mine["next", key], end[key])
             for key in ("observation", "action"):
                 assert torch.equal(mine[key], batch[world, t][key])
-
-
-def test_the_buffer_holds_transitions_of_n_steps() -> None:
-    config = replace(QUICK_SAC, random_steps=1_000, n_step=3, gamma=0.5)
-    agent = make_agent(config, seed=0)
-    agent.update(Rollout(Points([9])).collect(agent.policy(), 8).batch)
-    assert agent.extra_state()["buffer"][:, -2].tolist() == [3] * 6 + [2, 1]
-
-
-def test_a_full_buffer_forgets_the_oldest() -> None:
-    agent = agent_of(replace(SMALL, buffer_size=10, random_steps=1_000))
-    for step in range(14):
-        batch = transitions(1)
-        batch["next", "reward"][:] = step
-        agent.update(batch[:, None])
-    rewards = agent.extra_state()["buffer"][:, -3].tolist()
-    assert sorted(rewards) == list(range(4, 14))
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -1,16 +1,25 @@
-"""Random streams: an episode's draws are its own, whoever else draws."""
+"""Random streams: each episode has its own."""
 
 import numpy as np
 import pytest
 
-from manip.envs.episode_streams import EpisodeStreams
+from manip.envs.episode_streams import (
+    CHOICE,
+    EVALUATION,
+    TRAINING,
+    EpisodeStreams,
+    Purpose,
+    episode_seed,
+)
 
 Array = np.ndarray
 
 
-def draws(seed: int, worlds: list[int], episodes: list[int]) -> Array:
+def draws(
+    seed: int, env_ids: list[int], episodes: list[int], purpose: Purpose = TRAINING
+) -> Array:
     """Uniform, then Gaussian, then uniform numbers, as a task draws them [n, 9]."""
-    streams = EpisodeStreams(seed, np.array(worlds), np.array(episodes))
+    streams = EpisodeStreams(seed, np.array(env_ids), np.array(episodes), purpose)
     parts = [
         streams.uniform(0, 1, 4),
         streams.normal(1.0, 3),
@@ -19,22 +28,42 @@ def draws(seed: int, worlds: list[int], episodes: list[int]) -> Array:
     return np.concatenate(parts, axis=1)
 
 
-def test_draws_depend_on_seed_world_and_episode_only() -> None:
+def test_draws_depend_on_seed_environment_and_episode_only() -> None:
     together = draws(5, [0, 1, 2, 3], [7, 7, 0, 9])
     np.testing.assert_array_equal(draws(5, [0, 1, 2, 3], [7, 7, 0, 9]), together)
     np.testing.assert_array_equal(draws(5, [3, 1], [9, 7]), together[[3, 1]])
     np.testing.assert_array_equal(draws(5, [2], [0]), together[[2]])
 
 
+KEYS = [
+    (seed, purpose, env_id, episode)
+    for seed in (0, 1, 2, 2**32, 2**63)
+    for purpose in Purpose
+    for env_id in (0, 1, 2)
+    for episode in (0, 1, 2)
+]
+"""Seeds, purposes, environments and episodes whose sums often coincide."""
+
+
 def test_no_two_episodes_draw_the_same() -> None:
-    keys = [
-        (seed, world, episode)
-        for seed in (0, 1, 2)
-        for world in (0, 1, 2)
-        for episode in (0, 1, 2)
-    ]
-    rows = np.concatenate([draws(s, [w], [e]) for s, w, e in keys])
+    rows = np.concatenate([draws(s, [i], [e], purpose) for s, purpose, i, e in KEYS])
     assert np.unique(rows).size == rows.size
+
+
+def test_no_two_episodes_of_other_libraries_have_the_same_seed() -> None:
+    """Neither as a generator's seed, nor as the 32 bits that some libraries take."""
+    seeds = [episode_seed(*key) for key in KEYS]
+    numbers = [np.random.default_rng(seed).random() for seed in seeds]
+    assert len(set(numbers)) == len(KEYS)
+    assert len({int(seed.generate_state(1)[0]) for seed in seeds}) == len(KEYS)
+
+
+def test_draws_of_training_are_keyed_by_the_seed_alone() -> None:
+    """So that runs begun before there were purposes can be resumed."""
+    generator = np.random.Generator(np.random.Philox(key=5, counter=[0, 0, 7, 2]))
+    np.testing.assert_array_equal(draws(5, [2], [7])[0, :4], generator.random(4))
+    for purpose in (EVALUATION, CHOICE):
+        assert not np.isin(draws(5, [2], [7], purpose), draws(5, [2], [7])).any()
 
 
 def test_numbers_are_uniform_and_gaussian() -> None:
@@ -48,7 +77,7 @@ def test_numbers_are_uniform_and_gaussian() -> None:
     assert gauss.std() == pytest.approx(3, abs=0.1)
 
 
-def test_worlds_and_numbers_are_uncorrelated() -> None:
+def test_environments_and_numbers_are_uncorrelated() -> None:
     n = 2000
     streams = EpisodeStreams(0, np.arange(n), np.zeros(n, dtype=int))
     unit = streams.uniform(0, 1, 3)
@@ -60,13 +89,13 @@ def test_worlds_and_numbers_are_uncorrelated() -> None:
 def test_bounds_may_differ_by_number() -> None:
     streams = EpisodeStreams(0, np.arange(500), np.zeros(500, dtype=int))
     low, high = np.array([-1.0, 5.0, 2.0]), np.array([1.0, 6.0, 2.0])
-    found = streams.uniform(low, high, 3)
-    assert ((found >= low) & (found <= high)).all()
-    assert (found[:, 2] == 2).all()
-    assert np.ptp(found[:, :2], axis=0) == pytest.approx([2, 1], abs=0.05)
+    drawn = streams.uniform(low, high, 3)
+    assert ((drawn >= low) & (drawn <= high)).all()
+    assert (drawn[:, 2] == 2).all()
+    assert np.ptp(drawn[:, :2], axis=0) == pytest.approx([2, 1], abs=0.05)
 
 
-def test_the_number_of_streams_is_the_number_of_worlds() -> None:
+def test_there_is_a_stream_for_each_environment() -> None:
     assert len(EpisodeStreams(0, np.arange(5), np.arange(5))) == 5
     with pytest.raises(ValueError, match="argument 2 is shorter"):
         EpisodeStreams(0, np.arange(5), np.arange(4))

@@ -1,4 +1,4 @@
-"""A problem that can be learned in seconds: points on a line that should go to 0."""
+"""A problem that is learned in seconds: points on a line that should move to 0."""
 
 from collections.abc import Sequence
 
@@ -9,18 +9,22 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from manip.agents.a2c import A2CConfig
-from manip.agents.agent import Agent, Spaces
+from manip.agents.agent import Agent, AgentConfig, Spaces
 from manip.agents.dqn import DQNConfig
 from manip.agents.ppo import PPOConfig
 from manip.agents.ppo_kl import PPOKLConfig
+from manip.agents.registry import algorithm_names, load_algorithm
 from manip.agents.reinforce import ReinforceConfig
 from manip.agents.sac import SACConfig
 from manip.agents.td3 import TD3Config
 from manip.agents.trpo import TRPOConfig
 from manip.evaluation.episodes import run_episodes
-from manip.training.build import AGENTS
 from manip.training.collector import Rollout
-from manip.training.config import AgentConfig
+
+ALGORITHMS = {
+    load_algorithm(name).Config: load_algorithm(name) for name in algorithm_names()
+}
+"""Options -> algorithm."""
 
 SPACES = Spaces(observation_dim=1, action_dim=1)
 
@@ -87,10 +91,10 @@ QUICK_DQN = DQNConfig(
 
 
 class Points(EnvBase):
-    """N points: x += 0.2 action, reward 1 - |x|, a time limit for each world.
+    """N points: x += 0.2 action, reward 1 - |x|, a time limit for each environment.
 
-    The observation is x in [-1, 1]. Success is |x| < 0.1; the only stage is being on
-    the positive side. An episode starts at a uniform x, or at `start`.
+    The observation is x in [-1, 1]. Success is |x| < 0.1; the only milestone is x > 0.
+    An episode starts at a uniform x, or at `start`.
     """
 
     batch_locked = True
@@ -126,16 +130,16 @@ class Points(EnvBase):
         fresh = drawn if self.start is None else torch.full_like(drawn, self.start)
         self.x = torch.where(which, fresh, self.x)
         self.elapsed = torch.where(which, 0, self.elapsed)
-        return self._seen(truncated=torch.zeros_like(which))
+        return self._tensors(truncated=torch.zeros_like(which))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         moved = self.x + 0.2 * tensordict["action"].clamp(-1, 1)
         self.x = moved.clamp(-1, 1)
         self.elapsed = self.elapsed + 1
-        seen = self._seen(truncated=self.elapsed >= self.limits)
-        return seen.set("reward", 1 - self.x.abs())
+        tensors = self._tensors(truncated=self.elapsed >= self.limits)
+        return tensors.set("reward", 1 - self.x.abs())
 
-    def _seen(self, truncated: Tensor) -> TensorDictBase:
+    def _tensors(self, truncated: Tensor) -> TensorDictBase:
         entries = {
             "observation": self.x.clone(),
             "success": self.x.abs() < 0.1,
@@ -152,12 +156,11 @@ class Points(EnvBase):
 
 def make_agent(config: AgentConfig, seed: int) -> Agent:
     torch.manual_seed(seed)
-    agent: Agent = AGENTS[type(config)](config, SPACES)
-    return agent
+    return ALGORITHMS[type(config)](config, SPACES)
 
 
 def train(config: AgentConfig, seed: int, steps: int) -> Agent:
-    """An agent after `steps` control steps of 16 points."""
+    """Train an agent for `steps` control steps of 16 points."""
     agent = make_agent(config, seed)
     rollout = Rollout(Points([20] * 16, seed))
     for _ in range(steps // (16 * agent.rollout_length)):
@@ -166,18 +169,18 @@ def train(config: AgentConfig, seed: int, steps: int) -> Agent:
 
 
 def mean_return(agent: Agent) -> float:
-    """Of the deterministic policy, over 100 episodes of 20 steps."""
+    """Return of the deterministic policy, mean of 100 episodes of 20 steps."""
     episodes = run_episodes(Points([20] * 100, seed=123), agent.actor.decide, 100)
     return sum(episode.total_reward for episode in episodes) / len(episodes)
 
 
 def rollout_of(agent: Agent, length: int = 12) -> TensorDictBase:
-    """TaskBatch whose episodes end at different times, within the rollout."""
+    """Collect a rollout in which episodes end at different times."""
     return Rollout(Points([3, 5, 50, 50])).collect(agent.policy(), length).batch
 
 
 def three_steps(terminated: bool) -> TensorDict:
-    """One world with V(s) = s; its episode ends at the second of three steps."""
+    """Three steps of one environment with V(s) = s; the second ends its episode."""
     ended = torch.tensor([[[0], [1], [0]]], dtype=torch.bool)
     after = {
         "observation": torch.tensor([[[1.0], [4.0], [2.5]]]),

@@ -1,19 +1,21 @@
 """Asynchronous advantage actor-critic (Mnih et al. 2016, arXiv 1602.01783).
 
-Workers, each on a thread of its own and with worlds of its own, take turns without
-waiting for each other:
+Workers, each on a thread of its own and with environments of its own, run side by side.
+Each of them repeats:
 
     copy the shared parameters:  theta_w <- theta
-    collect a rollout, and find the gradient g_w of A2C's loss in theta_w
+    collect a rollout, and compute the gradient g_w of A2C's loss at theta_w
     step the shared parameters:  theta <- Adam(theta, g_w)
 
-While one works, the others move theta on: a gradient is `workers` - 1 steps old when it
-is taken. The shared steps are taken in a fixed order of the workers, so that a run
-repeats itself bit for bit; the paper takes them as they come.
+The updates are pipelined, not asynchronous: the shared steps are taken in a fixed order
+of the workers, and a worker that is ready early waits for its turn, so that a run
+repeats bit for bit. The paper takes each gradient when it arrives. As in the paper, a
+gradient is stale: it is `workers` - 1 updates old when it is used.
 """
 
 from dataclasses import dataclass
 from itertools import cycle
+from typing import Annotated
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -23,18 +25,19 @@ from manip.agents.a2c import A2C, A2CConfig
 from manip.agents.agent import Spaces
 from manip.agents.on_policy import RolloutPolicy
 from manip.agents.value_targets import add_values
+from manip.io.option_ranges import COUNT
 
 
 @dataclass(frozen=True)
 class A3CConfig(A2CConfig):
     """Options of A3C; defaults suit manipulation at 20 Hz, rewards in [0, 1]."""
 
-    workers: int = 4
-    """Threads that collect and differentiate; they share the worlds evenly."""
+    workers: Annotated[int, COUNT] = 4
+    """Threads that collect and differentiate; num_envs is split evenly over them."""
 
 
 class Worker(RolloutPolicy):
-    """Acts by a copy of the shared networks, and finds gradients in them."""
+    """Act with a copy of the shared networks, which also computes the gradient."""
 
     def __init__(self, copy: A2C) -> None:
         super().__init__(copy.actor)
@@ -42,15 +45,17 @@ class Worker(RolloutPolicy):
 
 
 class A3C(A2C):
-    """A3C on TorchRL; see the module's docstring."""
+    """A3C; see the module's docstring."""
+
+    name = "a3c"
+    Config = A3CConfig
 
     def __init__(self, config: A3CConfig, spaces: Spaces, threads: int = 1) -> None:
         super().__init__(config, spaces)
-        self.workers = config.workers
         self._copies = cycle([A2C(config, spaces) for _ in range(config.workers)])
 
     def policy(self) -> TensorDictModuleBase:
-        """The next worker, with the shared parameters of now."""
+        """Return the next worker, with a copy of the present shared parameters."""
         copy = next(self._copies)
         copy.load(self)
         return Worker(copy)
@@ -58,22 +63,21 @@ class A3C(A2C):
     def process_rollout(
         self, policy: TensorDictModuleBase, batch: TensorDictBase
     ) -> TensorDictBase:
-        """The gradient [P] of a worker's rollout, and what it has seen."""
+        """Replace a worker's rollout by its gradient [P] and its observations."""
         assert isinstance(policy, Worker)
         copy = policy.copy
-        told = copy.differentiate(add_values(batch, copy.critic))
-        found = {name: torch.tensor(value) for name, value in told.items()}
+        terms = copy.differentiate(add_values(batch, copy.critic))
         return TensorDict(
             {
                 "observation": batch["observation"],
                 "gradient": copy.gradient.clone(),
-                "told": found,
+                "logged": {name: torch.tensor(term) for name, term in terms.items()},
             }
         )
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
-        """A step of the shared parameters down a worker's gradient."""
+        """Step the shared parameters down a worker's gradient."""
         self.gradient.copy_(batch["gradient"])
         self._step()
-        self._see(batch["observation"])
-        return {name: value.item() for name, value in batch["told"].items()}
+        self._update_norm(batch["observation"])
+        return {name: value.item() for name, value in batch["logged"].items()}

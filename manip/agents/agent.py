@@ -1,8 +1,8 @@
-"""What the training loop asks of an algorithm."""
+"""The contract between an algorithm and the training loop."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -13,64 +13,103 @@ from manip.agents.networks import Actor, BinnedActor
 
 
 @dataclass(frozen=True)
+class AgentConfig:
+    """Base class of every algorithm's options.
+
+    Each field becomes a flag `--agent.<name>`, with the string below it as its help.
+    A range beside a number is checked, whatever sets the option (see
+    manip.io.option_ranges): `gamma: Annotated[float, SHARE] = 0.95`.
+    """
+
+    workers = 1
+    """Groups of environments whose rollouts are collected side by side."""
+
+
+@dataclass(frozen=True)
 class Spaces:
-    """Sizes that an agent is built for."""
+    """Sizes that an agent's networks are built for."""
 
     observation_dim: int
     action_dim: int
 
 
 class Agent(ABC):
-    """An algorithm: a rollout policy, and an update from what it collected.
+    """An algorithm: a policy that explores, and an update from what it collected.
 
     Attributes:
+        name: the algorithm's name, as `--algo` takes it.
+        Config: dataclass of its options.
         actor: the network that is deployed.
-        rollout_length: control steps T of every world between two updates.
-        off_policy: learns from what older policies collected, too.
-        imitates: asks the worlds what the task's script would do (`script` [N, A]).
-        workers: rollouts that are under way side by side, in worlds of their own.
+        rollout_length: T, control steps of every environment between two updates.
+        off_policy: may learn from rollouts of older policies: the next rollout can be
+            collected while this one is learned from.
+        imitates: needs the task expert's action, `expert_action` [N, A], in each step.
+        has_native_gradients: its constructor takes the keyword `gradients`, "native" or
+            "torchrl"; others always learn through TorchRL's losses and autograd.
     """
+
+    name: ClassVar[str]
+    Config: ClassVar[type[AgentConfig]]
+    off_policy: ClassVar[bool] = False
+    imitates: ClassVar[bool] = False
+    has_native_gradients: ClassVar[bool] = False
 
     actor: Actor | BinnedActor
     rollout_length: int
-    off_policy: bool = False
-    imitates: bool = False
-    workers: int = 1
+
+    @abstractmethod
+    def __init__(self, config: Any, spaces: Spaces, threads: int = 1) -> None:
+        """Build the networks and their optimisers.
+
+        Args:
+            config: an instance of `Config`.
+            spaces: sizes of observation and action.
+            threads: the most threads that an update may use.
+        """
 
     @abstractmethod
     def policy(self) -> TensorDictModuleBase:
-        """Explores as the agent does now: writes `action` [N, A] to its input.
+        """Return a copy of the present policy that writes `action` [N, A] to its input.
 
-        A copy, with random numbers of its own: it may act while the agent learns.
+        It has a random generator of its own: it may act while the agent learns.
         """
 
     def process_rollout(
         self, policy: TensorDictModuleBase, batch: TensorDictBase
     ) -> TensorDictBase:
-        """What `update` learns from: the policy's rollout [N, T], or findings in it.
+        """Turn the policy's rollout [N, T] into what `update` takes.
 
-        Called on the thread that collected the rollout, while others may learn.
+        Runs on the thread that collected the rollout, while other threads may learn.
         """
         return batch
 
     @abstractmethod
     def update(self, batch: TensorDictBase) -> dict[str, float]:
-        """Learn from a rollout; scalars to log, empty before learning starts."""
+        """Learn from a rollout [N, T] (keys: manip.agents.trajectory).
+
+        Returns:
+            Scalars to log; empty before learning starts.
+        """
 
     @abstractmethod
     def modules(self) -> dict[str, nn.Module]:
-        """Everything with parameters or buffers, by name, for checkpoints."""
+        """Return everything with parameters or buffers, by name, for checkpoints."""
 
     @abstractmethod
     def optimisers(self) -> dict[str, torch.optim.Optimizer]:
-        """Everything with optimiser state, by name, for checkpoints."""
+        """Return everything with optimiser state, by name, for checkpoints."""
 
     def extra_state(self, buffer: bool = True) -> dict[str, Any]:
-        """Tensors and numbers besides modules and optimisers.
+        """Return tensors and numbers besides modules and optimisers, for checkpoints.
 
-        What is stored of old rollouts is called `buffer`, and None unless asked for.
+        Args:
+            buffer: include the replay buffer, under the key "buffer"; None otherwise.
         """
         return {}
 
     def load_extra_state(self, state: dict[str, Any]) -> None:
-        """Put back what `extra_state` gave."""
+        """Restore the state that `extra_state` returned.
+
+        Raises:
+            ValueError: the state is of other shapes.
+        """

@@ -1,20 +1,20 @@
-"""Behaviour cloning of a task's script (Pomerleau 1989), on TorchRL's BCLoss.
+"""Behaviour cloning of a task's expert (Pomerleau 1989), with TorchRL's BCLoss.
 
-    actor: min |pi(s) - a*(s)|,  s ~ episodes of the script, disturbed, and of the clone
+    actor: min |pi(s) - a*(s)|,  s ~ noisy episodes of the expert, and of the clone
 
-a* is what the script would do in s. Both kinds of states are such that it shows the way
-back from them; without, the clone would know none once it has strayed. In some worlds
-the script acts, with noise as in DART (Laskey et al. 2017, arXiv 1703.09327) that grows
-from world to world, from none in the first one on. In the others, once something is
-learned, the clone acts and the script only tells what it would do: DAgger (Ross et al.
-2011, arXiv 1011.0686).
+a* is the expert's action in state s. Clones of a perfect expert never see how to return
+from their own mistakes, so the states are disturbed in two ways. In some environments
+the expert acts, with noise as in DART (Laskey et al. 2017, arXiv 1703.09327) that grows
+from none in the first environment to `noise` in the last. In the others, from the
+second rollout on, the clone acts and the expert only labels the states: DAgger (Ross et
+al. 2011, arXiv 1011.0686).
 """
 
 import warnings
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -24,46 +24,47 @@ from torch.optim import Adam
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.objectives import BCLoss
 
-from manip.agents.agent import Agent, Spaces
-from manip.agents.networks import Actor, seeded
+from manip.agents.agent import Agent, AgentConfig, Spaces
+from manip.agents.networks import Actor, seeded_generator
 from manip.agents.off_policy import descend
+from manip.io.option_ranges import COUNT, NUMBER, SHARE
 
-# It has no targets, and does not say so.
+# BCLoss has no target networks, and warns of it.
 warnings.filterwarnings("ignore", "The name target_actor_network_params")
 
 KEYS = ("observation", "expert_action")
-"""What is kept of a step."""
+"""Keys of a step that are stored."""
 
 
 @dataclass(frozen=True)
-class BCConfig:
-    """Options of behaviour cloning; `steps` of the run are those of the script."""
+class BCConfig(AgentConfig):
+    """Options of behaviour cloning; `steps` of the run are those of the expert."""
 
-    noise: float = 0.3
-    """Standard deviation of the actions' noise in the last world."""
-    noise_steps: int = 10
-    """Control steps for which noise lasts, on average, before it is drawn anew."""
-    clones: float = 0.5
-    """Share of the worlds in which the clone acts, from the second rollout on."""
-    rollout_length: int = 32
-    """Control steps of every world between two rounds of updates."""
-    updates_per_step: float = 0.5
-    """Updates for each control step of each world."""
-    batch_size: int = 256
-    """Steps an update."""
-    learning_rate: float = 5e-4
+    noise: Annotated[float, NUMBER] = 0.3
+    """Standard deviation of the expert's action noise in the last environment."""
+    noise_steps: Annotated[int, COUNT] = 10
+    """Mean number of control steps before noise is drawn again."""
+    clones: Annotated[float, SHARE] = 0.5
+    """Fraction of the environments in which the clone acts (DAgger)."""
+    rollout_length: Annotated[int, COUNT] = 32
+    """Control steps of each environment between two rounds of updates."""
+    updates_per_step: Annotated[float, NUMBER] = 0.5
+    """Updates per control step of one environment."""
+    batch_size: Annotated[int, COUNT] = 256
+    """Steps per update."""
+    learning_rate: Annotated[float, NUMBER] = 5e-4
     """Adam's step size."""
-    actor_hidden: tuple[int, ...] = (256, 256)
+    actor_hidden: Annotated[tuple[int, ...], COUNT] = (256, 256)
     """Widths of the actor's hidden layers."""
-    buffer_size: int = 400_000
-    """Steps that are kept."""
+    buffer_size: Annotated[int, COUNT] = 400_000
+    """Control steps that are stored."""
 
 
 class Demonstration(TensorDictModuleBase):
-    """What the script says, with noise that lasts for a while; or what its clone does.
+    """Act as the expert, with noise that lasts several steps; or as its clone.
 
     Args:
-        clones: share of the worlds, the last ones, in which the clone acts.
+        clones: fraction of the environments, the last ones, in which the clone acts.
     """
 
     in_keys = ["observation", "expert_action"]
@@ -74,35 +75,38 @@ class Demonstration(TensorDictModuleBase):
     ) -> None:
         super().__init__()
         self._actor, self._clones = deepcopy(actor), clones
-        self._noise, self._renewed = noise, 1 / noise_steps
-        self._generator = seeded()
+        self._noise, self._renewal = noise, 1 / noise_steps
+        self._generator = seeded_generator()
         self._offset: Tensor | None = None
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write `action` [N, A]."""
-        seen, wanted = tensordict["observation"], tensordict["expert_action"]
-        first = len(wanted) - round(self._clones * len(wanted))
-        own = self._actor.decide(seen[first:])
-        action = torch.cat([self._disturbed(wanted[:first]), own])
+        observation, expert = tensordict["observation"], tensordict["expert_action"]
+        first = len(expert) - round(self._clones * len(expert))
+        clone = self._actor.decide(observation[first:])
+        action = torch.cat([self._add_noise(expert[:first]), clone])
         return tensordict.set("action", action.clamp(-1, 1))
 
-    def _disturbed(self, wanted: Tensor) -> Tensor:
-        level = torch.linspace(0, self._noise, len(wanted))[:, None]
-        return wanted + level * self._offsets(wanted.shape)
+    def _add_noise(self, action: Tensor) -> Tensor:
+        level = torch.linspace(0, self._noise, len(action))[:, None]
+        return action + level * self._offsets(action.shape)
 
     def _offsets(self, shape: torch.Size) -> Tensor:
-        drawn = torch.randn(shape, generator=self._generator)
+        """Draw standard normal noise; each environment renews it now and then."""
+        offset = torch.randn(shape, generator=self._generator)
         if self._offset is not None:
-            chance = torch.rand((len(drawn), 1), generator=self._generator)
-            drawn = torch.where(chance < self._renewed, drawn, self._offset)
-        self._offset = drawn
-        return drawn
+            chance = torch.rand((len(offset), 1), generator=self._generator)
+            offset = torch.where(chance < self._renewal, offset, self._offset)
+        self._offset = offset
+        return offset
 
 
 class BC(Agent):
     """Behaviour cloning; see the module's docstring."""
 
+    name = "bc"
+    Config = BCConfig
     off_policy = True
     imitates = True
     actor: Actor
@@ -125,44 +129,59 @@ class BC(Agent):
         self._owed = 0.0
 
     def policy(self) -> TensorDictModuleBase:
-        """The script, disturbed, and once something is learned the clone."""
+        """Return the noisy expert, and from the second rollout on also the clone."""
         config = self.config
         clones = config.clones if len(self._buffer) else 0.0
         return Demonstration(self.actor, config.noise, config.noise_steps, clones)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
-        """Store the rollout [N, T]; then as many updates as its steps call for."""
-        shown = batch.select(*KEYS).reshape(-1)
-        self._buffer.extend(shown)
-        self._owed += len(shown) * self.config.updates_per_step
+        """Store the rollout [N, T]; then do as many updates as its steps call for."""
+        labelled = batch.select(*KEYS).reshape(-1)
+        self._buffer.extend(labelled)
+        self._owed += len(labelled) * self.config.updates_per_step
         count, self._owed = int(self._owed), self._owed % 1
         losses = [self._learn(part) for part in self._sample(count)]
         return {"loss_actor": sum(losses) / count} if losses else {}
 
     def modules(self) -> dict[str, nn.Module]:
-        """The actor."""
+        """Return the actor."""
         return {"actor": self.actor}
 
     def optimisers(self) -> dict[str, torch.optim.Optimizer]:
-        """One for the actor."""
+        """Return one for the actor."""
         return {"actor": self._optim}
 
     def extra_state(self, buffer: bool = True) -> dict[str, Any]:
-        """What the script has shown, oldest place first, and the updates owed."""
-        kept = buffer and len(self._buffer) > 0
+        """Return the stored steps, oldest place first, and the updates owed."""
+        stored = buffer and len(self._buffer) > 0
         return {
-            "buffer": self._buffer[:].select(*KEYS).to_dict() if kept else None,
-            "cursor": self._buffer.writer._cursor if kept else 0,
+            "buffer": self._buffer[:].select(*KEYS).to_dict() if stored else None,
+            "cursor": self._buffer.writer._cursor if stored else 0,
             "owed": self._owed,
         }
 
     def load_extra_state(self, state: dict[str, Any]) -> None:
-        """Refill the buffer in the same order."""
+        """Restore what `extra_state` returned.
+
+        Raises:
+            ValueError: it is of another buffer, or damaged.
+        """
         if state["buffer"] is not None:
-            size = state["buffer"]["expert_action"].shape[:1]
-            self._buffer.extend(TensorDict(state["buffer"], size))
+            self._buffer.extend(self._checked(state["buffer"]))
+        if not 0 <= state["cursor"] <= len(self._buffer) or not 0 <= state["owed"] < 1:
+            raise ValueError("the checkpoint's counters are out of range")
         self._buffer.writer._cursor = state["cursor"]
         self._owed = state["owed"]
+
+    def _checked(self, stored: dict[str, Tensor]) -> TensorDict:
+        widths = self.actor.observation_dim, len(self.actor.action_scale)
+        size = len(stored["expert_action"])
+        shapes = {key: (size, width) for key, width in zip(KEYS, widths, strict=True)}
+        if {key: tuple(value.shape) for key, value in stored.items()} != shapes:
+            raise ValueError("the replay buffer holds steps of other shapes")
+        if size > self.config.buffer_size:
+            raise ValueError(f"the replay buffer holds {size} steps, more than fit")
+        return TensorDict(dict(stored), [size])
 
     def _sample(self, batches: int) -> Sequence[TensorDictBase]:
         size = self.config.batch_size

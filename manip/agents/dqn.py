@@ -1,4 +1,4 @@
-"""Deep Q-learning (Mnih et al. 2015, doi 10.1038/nature14236), on TorchRL's DQNLoss.
+"""Deep Q-learning (Mnih et al. 2015, doi 10.1038/nature14236), with TorchRL's DQNLoss.
 
     critic: min (Q(s, a) - y)^2,
             y = r + gamma r' + ... + gamma^n (1 - terminated) Q'(s', a'),
@@ -8,16 +8,18 @@
 
 Each dimension of the action takes one of `bins` values, and Q(s, a) is the mean over
 the dimensions i of q_i(s, a_i) (Seyde et al. 2022, arXiv 2210.12566): the maximum over
-all bins^7 actions is then 7 small ones. q_i = V + A_i - mean A_i (dueling: Wang et al.
-2015, arXiv 1511.06581). s' is n steps on, Q' the exponential average of Q. A time limit
-is no termination: y bootstraps through it.
+all bins^7 actions is found dimension by dimension. q_i = V + A_i - mean A_i (dueling:
+Wang et al. 2015, arXiv 1511.06581). s' is the state n steps later, Q' the exponential
+average of Q. A time limit is no termination: y bootstraps from the true last
+observation. For n > 1 the rewards between s and s' are older policies' (off-policy
+bias, not corrected).
 """
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Annotated
 
 import torch
-from tensordict import TensorDictBase
 from tensordict.nn import (
     TensorDictModule,
     TensorDictModuleBase,
@@ -29,35 +31,38 @@ from torchrl.modules import QValueModule
 from torchrl.objectives import DQNLoss, SoftUpdate
 
 from manip.agents.agent import Spaces
+from manip.agents.exploration import RolloutPolicy
 from manip.agents.networks import BinnedActor
 from manip.agents.off_policy import (
     OffPolicy,
     OffPolicyConfig,
-    RolloutPolicy,
     descend,
     transitions_of,
 )
+from manip.io.option_ranges import SHARE, Range
 
 
 @dataclass(frozen=True)
 class DQNConfig(OffPolicyConfig):
     """Options of DQN; defaults suit manipulation at 20 Hz, rewards in [0, 1]."""
 
-    bins: int = 3
-    """Values that each dimension of an action can take, from -1 to 1."""
+    bins: Annotated[int, Range(2, 1000)] = 3
+    """Number of values that each dimension of an action can take, from -1 to 1."""
     double: bool = True
-    """Choose a' by Q; by Q' if not, which overestimates."""
-    epsilon: float = 0.1
-    """Share of the values that are drawn at random, after random_steps."""
+    """Choose a' by Q (double DQN), not by Q', which overestimates."""
+    epsilon: Annotated[float, SHARE] = 0.1
+    """Probability that a dimension is drawn at random, after random_steps."""
 
 
 class DQN(OffPolicy):
-    """DQN on TorchRL; see the module's docstring."""
+    """DQN; see the module's docstring."""
 
+    name = "dqn"
+    Config = DQNConfig
     actor: BinnedActor
 
     def __init__(self, config: DQNConfig, spaces: Spaces, threads: int = 1) -> None:
-        super().__init__(config)
+        super().__init__(config, spaces)
         self.config = config
         self.actor = BinnedActor(
             spaces.observation_dim,
@@ -71,27 +76,23 @@ class DQN(OffPolicy):
         self._optim = Adam(self.actor.parameters(), config.learning_rate, fused=True)
 
     def policy(self) -> TensorDictModuleBase:
-        """Random bins at first, then the best ones but for a share of epsilon."""
+        """Return random bins at first, later an epsilon-greedy policy."""
         epsilon = 1.0 if self.warming_up else self.config.epsilon
         explore = partial(_greedy, epsilon=epsilon)
         return RolloutPolicy(self.actor, explore, bursts=self.config.gripper_bursts)
 
-    def update(self, batch: TensorDictBase) -> dict[str, float]:
-        """See `OffPolicy`; the buffer holds actions in units of action_scale."""
-        unit = batch["action"] / self.actor.action_scale
-        return super().update(batch.copy().set("action", unit))
-
     def modules(self) -> dict[str, nn.Module]:
-        """The loss holds the critic and its target."""
+        """Return the loss, which holds the critic and its target."""
         return {"loss": self._loss}
 
     def optimisers(self) -> dict[str, torch.optim.Optimizer]:
-        """One for everything."""
+        """Return one for everything."""
         return {"all": self._optim}
 
     def _learn(self, rows: Tensor) -> dict[str, float]:
         batch = transitions_of(rows, self.actor.observation_dim)
-        batch["action"] = self.actor.one_hot(batch["action"])
+        unit = batch["action"] / self.actor.action_scale
+        batch["action"] = self.actor.one_hot(unit)
         loss = self._loss(batch)["loss"]
         descend(self._optim, loss)
         self._targets.step()
@@ -102,9 +103,9 @@ def _greedy(
     actor: BinnedActor, observation: Tensor, draw: Generator, epsilon: float
 ) -> Tensor:
     best = actor.best(observation)
-    chosen = torch.randint(actor.bins, best.shape, generator=draw)
+    uniform = torch.randint(actor.bins, best.shape, generator=draw)
     explores = torch.rand(best.shape, generator=draw) < epsilon
-    return actor.values_of(torch.where(explores, chosen, best))
+    return actor.values_of(torch.where(explores, uniform, best))
 
 
 def _loss(config: DQNConfig, actor: BinnedActor) -> DQNLoss:

@@ -1,4 +1,4 @@
-"""Parameters in one piece: what optimisers, averages and native code run over."""
+"""Many parameters as views of one flat tensor, for optimisers and native code."""
 
 from collections.abc import Sequence
 
@@ -7,13 +7,13 @@ from torch import Tensor, nn
 
 
 def flatten(parts: Sequence[Tensor], leading: int = 0) -> nn.Parameter:
-    """One parameter that holds all parts; they and their gradients become its views.
+    """Join tensors to one parameter; they and their gradients become its views.
 
     Args:
         parts: [*batch, ...] each, with `leading` batch dimensions in common.
 
     Returns:
-        [*batch, P], the parts one behind the other, with its gradient allocated.
+        [*batch, P], the parts one after the other, with its gradient allocated.
     """
     flat = nn.Parameter(torch.cat([p.detach().flatten(leading) for p in parts], -1))
     flat.grad = torch.zeros_like(flat)
@@ -28,6 +28,6 @@ def flatten(parts: Sequence[Tensor], leading: int = 0) -> nn.Parameter:
 
 
 def zero_gradient(param: nn.Parameter) -> None:
-    """In place: others' gradients are views of it."""
+    """Set a flat gradient to zero in place, as others are views of it."""
     assert param.grad is not None
     param.grad.zero_()

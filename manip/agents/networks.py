@@ -1,14 +1,22 @@
-"""Networks of actors and critics, shared by the algorithms."""
+"""Networks of actors and critics, shared by the algorithms.
+
+Shapes: observation [..., D], action [..., A]; the leading dimensions are arbitrary.
+"""
 
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
 
-from manip.errors import UserError, at_least
+from manip.errors import UserError, at_least, shown
 
 MIN_LOG_STD, MAX_LOG_STD = -5.0, 2.0
-"""Range of a state-dependent log standard deviation (SAC, common practice)."""
+"""Range of a state-dependent log standard deviation, as in CleanRL's SAC."""
+
+MOST_LAYERS = 64
+"""Most hidden layers of a network."""
+MOST_NEURONS = 10**6
+"""Most neurons of a layer, and most entries of an observation or action."""
 
 
 def mlp(
@@ -18,7 +26,12 @@ def mlp(
     activation: type[nn.Module] = nn.ReLU,
     layer_norm: bool = False,
 ) -> nn.Sequential:
-    """Fully connected network; `layer_norm` normalises before each activation."""
+    """Build a fully connected network; `layer_norm` normalises before activations.
+
+    Raises:
+        UserError: more than MOST_LAYERS hidden layers, or a width out of range.
+    """
+    check_widths(inputs, outputs, hidden)
     layers: list[nn.Module] = []
     for width in hidden:
         layers.append(nn.Linear(inputs, width))
@@ -29,14 +42,31 @@ def mlp(
     return nn.Sequential(*layers, nn.Linear(inputs, outputs))
 
 
+def check_widths(inputs: int, outputs: int, hidden: Sequence[int]) -> None:
+    """Raise `UserError` for a network that is too large, or has no neurons."""
+    if len(hidden) > MOST_LAYERS:
+        raise UserError(
+            f"{len(hidden)} hidden layers are too many: at most {MOST_LAYERS}"
+        )
+    for width in (inputs, *hidden, outputs):
+        if not 1 <= width <= MOST_NEURONS:
+            raise UserError(
+                f"a layer of {shown(width)} neurons is not possible: choose from 1 to "
+                f"{MOST_NEURONS}"
+            )
+
+
 def widths_of(network: nn.Module) -> list[int]:
-    """Widths of a network's input, hidden layers and output."""
+    """Return the widths of a network's input, hidden layers and output."""
     linears = [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
     return [linears[0].in_features, *(layer.out_features for layer in linears)]
 
 
 def orthogonal(network: nn.Module, gain: float, last_gain: float) -> None:
-    """Orthogonal weights and zero biases: `gain` inside, `last_gain` at the end."""
+    """Set orthogonal weights and zero biases (Saxe et al. 2013, arXiv 1312.6120).
+
+    `last_gain` scales the last layer's weights, `gain` those of the others.
+    """
     linears = [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
     for layer in linears:
         last = layer is linears[-1]
@@ -45,10 +75,12 @@ def orthogonal(network: nn.Module, gain: float, last_gain: float) -> None:
 
 
 class RunningNorm(nn.Module):
-    """(x - mean) / std of all observations seen by `update`, clipped to +-10.
+    """Normalise by the mean and variance of all observations passed to `update`.
 
-    Mean and variance are exact over everything seen (Chan et al. 1979, parallel
-    variance) and are saved with the network that holds them.
+        y = clip((x - mean) / sqrt(var + 1e-4), -10, 10)
+
+    Mean and variance are exact (parallel variance, Chan et al. 1979) and are saved with
+    the network.
     """
 
     mean: Tensor
@@ -63,7 +95,12 @@ class RunningNorm(nn.Module):
 
     @torch.no_grad()
     def update(self, x: Tensor) -> None:
-        """Take in observations x [..., D]."""
+        """Add observations x [..., D] to the statistics.
+
+        With share = n / (n + count) and delta = mean(x) - mean:
+        mean += share delta,
+        var = share var(x) + (1 - share) var + share (1 - share) delta^2.
+        """
         x = x.reshape(-1, x.shape[-1])
         total = self.count + len(x)
         delta = x.mean(0) - self.mean
@@ -74,7 +111,7 @@ class RunningNorm(nn.Module):
         self.count.copy_(total)
 
     def forward(self, x: Tensor) -> Tensor:
-        """x [..., D] normalised."""
+        """Normalise x [..., D]."""
         return ((x - self.mean) / (self.var + 1e-4).sqrt()).clamp(-10.0, 10.0)
 
 
@@ -82,12 +119,15 @@ class Actor(nn.Module):
     """Gaussian actor: observation [..., D] -> (loc, scale), each [..., A].
 
     Args:
-        squash: SAC's form: tanh of a Gaussian whose standard deviation depends on
-            the state. Otherwise PPO's: one standard deviation an action, and the
-            action is clipped by the environment.
-        normalise: keep a RunningNorm of the observations in front.
-        action_scale: [A] in (0, 1], the part of each action's range that is used;
-            all of it unless given. Small turns, say, keep exploration upright.
+        squash: True for SAC's form, tanh of a Gaussian whose standard deviation
+            depends on the state. False for PPO's: a standard deviation for each
+            dimension of the action, which the environment clips.
+        normalise: put a RunningNorm of the observations before the network.
+        action_scale: [A] in (0, 1], fraction of each dimension's range that is used;
+            1 by default. Small rotations keep the gripper upright while exploring.
+
+    Raises:
+        UserError: action_scale has another length than the action.
     """
 
     action_scale: Tensor
@@ -115,7 +155,7 @@ class Actor(nn.Module):
             self.log_std = nn.Parameter(torch.full((action_dim,), -0.5))
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and standard deviation: of the action, or of what tanh squashes."""
+        """Return mean and standard deviation [..., A] (before tanh if `squash`)."""
         out = self.body(self.norm(observation))
         if not self.squash:
             std = self.action_scale * self.log_std.exp()
@@ -125,23 +165,25 @@ class Actor(nn.Module):
         return loc, (MIN_LOG_STD + span * (raw.tanh() + 1) / 2).exp()
 
     def decide(self, observation: Tensor) -> Tensor:
-        """The deterministic action [..., A] in [-1, 1]."""
+        """Return the deterministic action [..., A] in [-1, 1]."""
         loc, _ = self(observation)
         return self.squashed(loc) if self.squash else loc.clamp(-1.0, 1.0)
 
     def squashed(self, raw: Tensor) -> Tensor:
-        """The action [..., A] of a sample of SAC's Gaussian."""
+        """Map a Gaussian sample [..., A] to an action: action_scale tanh(raw)."""
         return self.action_scale * raw.tanh()
 
 
 class BinnedActor(nn.Module):
     """Values of discretised actions: observation [..., D] -> [..., A * bins].
 
-    The sum of the values of one bin a dimension is Q(s, a), the mean over dimensions i
-    of q_i = V + A_i - mean A_i; see `manip.agents.dqn`. The best bins are the action.
+    Each dimension i of the action takes one of `bins` values from -1 to 1. With
+    q_i = V + A_i - mean A_i, the network returns q_i / A for each bin of each
+    dimension, so that Q(s, a), the mean of q_i(s, a_i), is the sum of A outputs; see
+    `manip.agents.dqn`. The deterministic action is the best bin of each dimension.
 
     Args:
-        bins: values that each dimension can take, from -1 to 1.
+        bins: number of values that each dimension of the action can take.
         action_scale: as for `Actor`.
     """
 
@@ -165,40 +207,41 @@ class BinnedActor(nn.Module):
         self.body = mlp(observation_dim, 1 + action_dim * bins, hidden, layer_norm=True)
 
     def forward(self, observation: Tensor) -> Tensor:
-        """q_i / A of every bin of every dimension, dimension by dimension."""
+        """Return q_i / A, [..., A * bins], dimension by dimension."""
         value, raw = self.body(observation).tensor_split([1], -1)
         advantage = raw.unflatten(-1, (self.action_dim, self.bins))
         centred = advantage - advantage.mean(-1, keepdim=True)
         return (value.unsqueeze(-1) + centred).flatten(-2) / self.action_dim
 
     def decide(self, observation: Tensor) -> Tensor:
-        """The deterministic action [..., A] in [-1, 1]."""
+        """Return the deterministic action [..., A] in [-1, 1]."""
         return self.action_scale * self.values_of(self.best(observation))
 
     def best(self, observation: Tensor) -> Tensor:
-        """[..., A] int, the bin of the highest value in each dimension."""
+        """Return the bin of the highest value in each dimension, int [..., A]."""
         values = self(observation).unflatten(-1, (self.action_dim, self.bins))
         return values.argmax(-1)
 
-    def values_of(self, chosen: Tensor) -> Tensor:
-        """Bins [..., A] int -> numbers from -1 to 1."""
-        return 2 * chosen / (self.bins - 1) - 1
+    def values_of(self, indices: Tensor) -> Tensor:
+        """Map bins, int [..., A], to numbers from -1 to 1."""
+        return 2 * indices / (self.bins - 1) - 1
 
     def one_hot(self, values: Tensor) -> Tensor:
-        """What `values_of` gave -> [..., A * bins], 1 at the bins, 0 elsewhere."""
-        chosen = ((values + 1) / 2 * (self.bins - 1)).round().long()
-        return nn.functional.one_hot(chosen, self.bins).flatten(-2)
+        """Map numbers [..., A] from `values_of` to one-hot vectors [..., A * bins]."""
+        indices = ((values + 1) / 2 * (self.bins - 1)).round().long()
+        return nn.functional.one_hot(indices, self.bins).flatten(-2)
 
 
 def _scale(given: Sequence[float], action_dim: int) -> Tensor:
     scale = torch.tensor(given) if given else torch.ones(action_dim)
     if scale.shape != (action_dim,):
         raise UserError(
-            f"action_scale has {len(scale)} numbers, the action has {action_dim}"
+            f"action_scale has {len(scale)} numbers, the action has {action_dim}: "
+            "give a number for each dimension of the action, or none"
         )
     return scale
 
 
-def seeded() -> torch.Generator:
-    """Random numbers of their own, that follow from torch's seed."""
+def seeded_generator() -> torch.Generator:
+    """Return a new random generator, seeded from torch's global one."""
     return torch.Generator().manual_seed(int(torch.randint(2**62, ())))

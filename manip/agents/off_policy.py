@@ -1,140 +1,97 @@
-"""What the algorithms share that learn from all they have seen."""
+"""Base of the algorithms that learn from a replay buffer (SAC, TD3, DQN).
+
+Targets of n steps, with n > 1, use the rewards that older policies collected: they are
+biased towards those policies (off-policy bias), which is not corrected. n = 1 has no
+such bias, and learns slower.
+"""
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
-from copy import deepcopy
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictModuleBase
-from torch import Generator, Tensor, nn
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torch import Tensor
 from torchrl.modules import ValueOperator
 
-from manip.agents.agent import Agent, Spaces
-from manip.agents.networks import Actor, BinnedActor, mlp, seeded
-from manip.agents.value_targets import n_step_transitions
+from manip.agents.agent import Agent, AgentConfig, Spaces
+from manip.agents.networks import mlp
+from manip.agents.replay import Replay
+from manip.io.option_ranges import COUNT, NUMBER, SHARE, WHOLE, Range
 
 
 @dataclass(frozen=True)
-class OffPolicyConfig:
-    """Options that all of them have; defaults suit manipulation at 20 Hz."""
+class OffPolicyConfig(AgentConfig):
+    """Options of all off-policy algorithms; defaults suit manipulation at 20 Hz."""
 
-    gamma: float = 0.95
-    """Discount a control step."""
-    n_step: int = 3
-    """Rewards that a critic's target sums up before it relies on the critics."""
-    rollout_length: int = 8
-    """Control steps of every world between two rounds of updates."""
-    tau: float = 0.01
-    """Share of the critics that goes into their targets at each update."""
-    learning_rate: float = 5e-4
-    """Adam's step size, for all that is learned."""
-    batch_size: int = 256
-    """Transitions an update."""
-    updates_per_step: float = 0.25
-    """Critic updates for each control step of each world."""
-    critic_hidden: tuple[int, ...] = (128, 128)
+    gamma: Annotated[float, SHARE] = 0.95
+    """Discount factor per control step."""
+    n_step: Annotated[int, COUNT] = 3
+    """Rewards summed in a critic's target before it bootstraps (n-step return)."""
+    rollout_length: Annotated[int, COUNT] = 8
+    """Control steps of each environment between two rounds of updates."""
+    tau: Annotated[float, SHARE] = 0.01
+    """Fraction by which targets move to the critics at each update (Polyak)."""
+    learning_rate: Annotated[float, NUMBER] = 5e-4
+    """Adam's step size, for all networks."""
+    batch_size: Annotated[int, COUNT] = 256
+    """Transitions per update."""
+    updates_per_step: Annotated[float, NUMBER] = 0.25
+    """Critic updates per control step of one environment (update-to-data ratio)."""
+    critic_hidden: Annotated[tuple[int, ...], COUNT] = (128, 128)
     """Widths of each critic's hidden layers (each with LayerNorm)."""
-    buffer_size: int = 400_000
-    """Transitions that are kept."""
-    random_steps: int = 4_000
-    """Steps with uniform actions before learning starts."""
-    action_scale: tuple[float, ...] = ()
-    """Part of each OSC_POSE action's range that is used; all of it unless given."""
-    gripper_bursts: float = 0.0
-    """Share of a rollout's worlds whose gripper opens, or closes, all through it."""
-
-
-Explore = Callable[[Any, Tensor, Generator], Tensor]
-"""(actor, observation [N, D], random numbers) -> action [N, A] / action_scale."""
-
-
-BURST = 0.9
-"""Gripper command of a burst: inside the range, where tanh has an inverse."""
-
-
-class RolloutPolicy(TensorDictModuleBase):
-    """Explores with a copy of the actor; uniform actions to `warm_up`.
-
-    A gripper takes ten steps from closed to open. Noise of single steps does not let go
-    of what an actor wants to hold; with `bursts`, a share of the worlds does.
-    """
-
-    in_keys = ["observation"]
-    out_keys = ["action"]
-
-    def __init__(
-        self,
-        actor: Actor | BinnedActor,
-        explore: Explore,
-        warm_up: bool = False,
-        bursts: float = 0.0,
-    ) -> None:
-        super().__init__()
-        self._actor, self._warm_up, self._bursts = deepcopy(actor), warm_up, bursts
-        self._explore, self._generator = explore, seeded()
-        self._forced: Tensor | None = None
-
-    @torch.no_grad()
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write `action` [N, A]."""
-        unit = self._draw(tensordict["observation"])
-        if self._forced is None:
-            self._forced = self._draw_bursts(len(unit))
-        unit[:, -1] = self._forced.where(self._forced != 0, unit[:, -1])
-        return tensordict.set("action", self._actor.action_scale * unit)
-
-    def _draw(self, observation: Tensor) -> Tensor:
-        if self._warm_up:
-            shape = (len(observation), len(self._actor.action_scale))
-            return torch.rand(shape, generator=self._generator) * 2 - 1
-        return self._explore(self._actor, observation, self._generator)
-
-    def _draw_bursts(self, worlds: int) -> Tensor:
-        """[N] the gripper's command for the whole rollout; 0 leaves it to the actor."""
-        unit = torch.rand(worlds, generator=self._generator)
-        command = torch.where(unit < self._bursts / 2, BURST, -BURST)
-        return command * (unit < self._bursts)
+    buffer_size: Annotated[int, COUNT] = 400_000
+    """Control steps that the replay buffer holds."""
+    random_steps: Annotated[int, WHOLE] = 4_000
+    """Control steps with uniform actions before learning starts."""
+    action_scale: Annotated[tuple[float, ...], Range(1e-6, 1)] = ()
+    """Fraction of each action dimension's range that is used; 1 unless given."""
+    gripper_bursts: Annotated[float, SHARE] = 0.0
+    """Fraction of rollouts in which the gripper opens, or closes, all the time."""
 
 
 class OffPolicy(Agent):
-    """Collect, store, and learn from transitions drawn from all that is stored."""
+    """Store rollouts in a replay buffer, and learn from batches drawn from it.
+
+    Rollouts must come from one group of environments, one after the other.
+    """
 
     off_policy = True
 
-    def __init__(self, config: OffPolicyConfig) -> None:
+    def __init__(self, config: OffPolicyConfig, spaces: Spaces) -> None:
         self._options = config
         self.rollout_length = config.rollout_length
-        self._buffer = TensorDictReplayBuffer(
-            storage=LazyTensorStorage(config.buffer_size)
+        self._replay = Replay(
+            config.buffer_size, spaces.observation_dim, spaces.action_dim
         )
-        self._seen = 0
+        self._steps = 0
         self._owed = 0.0
         self._updates = 0
 
     @property
+    def replay(self) -> Replay:
+        """The stored steps."""
+        return self._replay
+
+    @property
     def warming_up(self) -> bool:
-        """Nothing is learned yet."""
-        return self._seen < self._options.random_steps
+        """Whether actions are still uniform and nothing is learned."""
+        return self._steps < self._options.random_steps
 
     @property
     def _refilling(self) -> bool:
-        """The run goes on from a checkpoint without a buffer."""
+        """Whether the buffer is filled again, after a checkpoint without one."""
         options = self._options
-        return len(self._buffer) < min(options.random_steps, options.buffer_size)
+        return len(self._replay) < min(options.random_steps, options.buffer_size)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
-        """Store the rollout [N, T]; then as many updates as its steps call for."""
-        config = self._options
-        flat = n_step_transitions(batch, config.n_step, config.gamma).reshape(-1)
-        self._buffer.extend(TensorDict({"row": rows_of(flat)}, flat.batch_size))
-        self._seen += len(flat)
+        """Store the rollout [N, T]; then do as many updates as its steps call for."""
+        self._replay.add(batch)
+        self._steps += batch.numel()
         if self.warming_up or self._refilling:
             return {}
-        self._owed += len(flat) * config.updates_per_step
+        self._owed += batch.numel() * self._options.updates_per_step
         logged: dict[str, float] = {}
         count, self._owed = int(self._owed), self._owed % 1
         for rows in self._sample(count):
@@ -143,46 +100,50 @@ class OffPolicy(Agent):
         return logged
 
     def extra_state(self, buffer: bool = True) -> dict[str, Any]:
-        """The buffer's transitions, oldest place first, and the counters."""
-        kept = buffer and len(self._buffer) > 0
-        return {
-            "buffer": self._buffer[:]["row"] if kept else None,
-            "cursor": self._buffer.writer._cursor if kept else 0,
-            "seen": self._seen,
+        """Return the replay buffer and the counters."""
+        return self._replay.state(buffer) | {
+            "seen": self._steps,
             "owed": self._owed,
             "updates": self._updates,
         }
 
     def load_extra_state(self, state: dict[str, Any]) -> None:
-        """Refill the buffer in the same order."""
-        rows = state["buffer"]
-        if rows is not None:
-            self._buffer.extend(TensorDict({"row": rows}, rows.shape[:1]))
-        self._buffer.writer._cursor = state["cursor"]
-        self._seen, self._owed = state["seen"], state["owed"]
-        self._updates = state["updates"]
+        """Restore what `extra_state` returned.
+
+        Raises:
+            ValueError: it is of a buffer of other sizes, or damaged.
+        """
+        self._replay.load_state(state)
+        self._steps, self._owed = int(state["seen"]), float(state["owed"])
+        self._updates = int(state["updates"])
+        if min(self._steps, self._updates) < 0 or not 0 <= self._owed < 1:
+            raise ValueError("the checkpoint's counters are out of range")
 
     @abstractmethod
     def _learn(self, rows: Tensor) -> dict[str, float]:
         """Learn from a batch of rows (see `rows_of`); `_updates` counts these calls."""
 
     def _sample(self, batches: int) -> Sequence[Tensor]:
-        size = self._options.batch_size
+        """Draw the rows of so many batches at once."""
         if not batches:
             return ()
-        return self._buffer.sample(batches * size)["row"].split(size)
+        size, options = self._options.batch_size, self._options
+        rows = self._replay.sample(batches * size, options.n_step, options.gamma)
+        return rows.split(size)
 
 
 def descend(optimiser: torch.optim.Optimizer, loss: Tensor) -> None:
-    """A step down the loss's gradient, as autograd finds it."""
+    """Step down the loss's gradient, computed by autograd."""
     optimiser.zero_grad()
     loss.backward()
     optimiser.step()
 
 
 def rows_of(transitions: TensorDictBase) -> Tensor:
-    """Transitions [B] as rows [B, 2 O + A + 3]: state s, action, successor s', reward,
-    number of steps from s to s', and whether the episode terminated there.
+    """Join transitions [B] to rows [B, 2 O + A + 3].
+
+    Columns: state s, action, successor s', reward, number of steps from s to s', and
+    whether the episode terminated there.
     """
     after = transitions["next"]
     parts = [
@@ -196,13 +157,13 @@ def rows_of(transitions: TensorDictBase) -> Tensor:
     return torch.cat([part.float() for part in parts], -1)
 
 
-def transitions_of(rows: Tensor, states: int) -> TensorDict:
-    """What `rows_of` made rows of, from `states` numbers a state."""
-    actions = rows.shape[1] - 2 * states - 3
-    widths = (states, actions, states, 1, 1, 1)
-    state, action, following, reward, steps, terminated = rows.split(widths, 1)
+def transitions_of(rows: Tensor, observation_dim: int) -> TensorDict:
+    """Split rows (see `rows_of`) into the keys that TorchRL's losses expect."""
+    actions = rows.shape[1] - 2 * observation_dim - 3
+    widths = (observation_dim, actions, observation_dim, 1, 1, 1)
+    state, action, successor, reward, steps, terminated = rows.split(widths, 1)
     ended = terminated > 0
-    after = {"observation": following, "reward": reward}
+    after = {"observation": successor, "reward": reward}
     after |= {"terminated": ended, "done": ended}
     return TensorDict(
         {
@@ -215,10 +176,10 @@ def transitions_of(rows: Tensor, states: int) -> TensorDict:
     )
 
 
-def critics_of(
+def make_critics(
     count: int, spaces: Spaces, hidden: Sequence[int]
 ) -> ValueOperator | list[ValueOperator]:
-    """So many critics, or the one (torchrl 0.14 cannot optimise a list of one)."""
+    """Build critics Q(s, a); a list unless it is one (torchrl 0.14 needs it so)."""
     inputs, keys = spaces.observation_dim + spaces.action_dim, ["observation", "action"]
     critics = [
         ValueOperator(Critic(inputs, hidden), in_keys=keys) for _ in range(count)
@@ -226,12 +187,12 @@ def critics_of(
     return critics if count > 1 else critics[0]
 
 
-class Critic(nn.Sequential):
+class Critic(torch.nn.Sequential):
     """Q(s, a) from observation and action, concatenated."""
 
     def __init__(self, inputs: int, hidden: Sequence[int]) -> None:
         super().__init__(*mlp(inputs, 1, hidden, layer_norm=True))
 
     def forward(self, *parts: Tensor) -> Tensor:
-        """parts: [B, D], [B, A] -> [B, 1]."""
+        """Map observation [B, D] and action [B, A] to values [B, 1]."""
         return super().forward(torch.cat(parts, -1))

@@ -1,10 +1,10 @@
-"""What the algorithms share that learn from their own policy's latest rollout."""
+"""Base of the algorithms that learn from the latest rollout of their own policy."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import torch
 from tensordict import TensorDictBase
@@ -13,47 +13,54 @@ from torch import Tensor, nn
 from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
 from torchrl.objectives import LossModule
 
-from manip.agents.agent import Agent, Spaces
+from manip.agents.agent import Agent, AgentConfig, Spaces
 from manip.agents.flat_parameters import flatten, zero_gradient
-from manip.agents.networks import Actor, RunningNorm, mlp, orthogonal, seeded
+from manip.agents.networks import (
+    Actor,
+    RunningNorm,
+    mlp,
+    orthogonal,
+    seeded_generator,
+)
 from manip.agents.value_targets import add_values
+from manip.io.option_ranges import COUNT, NUMBER, POSITIVE, SHARE, Range
 
 Samples = TypeVar("Samples", Tensor, TensorDictBase)
 
 
 @dataclass(frozen=True)
-class OnPolicyConfig:
-    """Options that all of them have; defaults suit manipulation at 20 Hz."""
+class OnPolicyConfig(AgentConfig):
+    """Options of all on-policy algorithms; defaults suit manipulation at 20 Hz."""
 
-    gamma: float = 0.97
-    """Discount a control step."""
-    learning_rate: float = 5e-4
+    gamma: Annotated[float, SHARE] = 0.97
+    """Discount factor per control step."""
+    learning_rate: Annotated[float, NUMBER] = 5e-4
     """Adam's step size."""
-    rollout_length: int = 32
-    """Control steps of every world between two updates."""
-    critic_coefficient: float = 0.5
-    """c_V, weight of the critic's loss."""
-    max_gradient: float = 1.0
-    """Gradients are scaled down to this norm."""
-    actor_hidden: tuple[int, ...] = (128, 128)
+    rollout_length: Annotated[int, COUNT] = 32
+    """Control steps of each environment between two updates."""
+    critic_coefficient: Annotated[float, POSITIVE] = 0.5
+    """c_V, weight of the critic's loss (value coefficient)."""
+    max_gradient: Annotated[float, NUMBER] = 1.0
+    """Largest norm of a gradient; longer ones are scaled down (max_grad_norm)."""
+    actor_hidden: Annotated[tuple[int, ...], COUNT] = (128, 128)
     """Widths of the actor's hidden layers."""
-    critic_hidden: tuple[int, ...] = (128, 128)
+    critic_hidden: Annotated[tuple[int, ...], COUNT] = (128, 128)
     """Widths of the critic's hidden layers."""
     normalise: bool = True
     """Normalise observations by running statistics, saved with the policy."""
-    action_scale: tuple[float, ...] = ()
-    """Part of each OSC_POSE action's range used at first; all of it unless given."""
+    action_scale: Annotated[tuple[float, ...], Range(1e-6, 1)] = ()
+    """Fraction of each action dimension's range that is used; 1 unless given."""
 
 
 class RolloutPolicy(TensorDictModuleBase):
-    """Samples a copy of the actor; writes the action and its log-probability."""
+    """Sample a copy of the actor, and record each action's log-probability."""
 
     in_keys = ["observation"]
     out_keys = ["action", "action_log_prob"]
 
     def __init__(self, actor: Actor) -> None:
         super().__init__()
-        self._actor, self._generator = deepcopy(actor), seeded()
+        self._actor, self._generator = deepcopy(actor), seeded_generator()
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -66,10 +73,10 @@ class RolloutPolicy(TensorDictModuleBase):
 
 
 class OnPolicy(Agent):
-    """Collect with the policy, estimate advantages, learn, forget.
+    """Learn from each rollout once it is collected, then discard it.
 
-    A Gaussian actor, a critic, and one Adam for the parameters of both, which lie in
-    one piece: the actor's, its log deviations, the critic's.
+    A Gaussian actor, a critic, and one Adam for one flat parameter that holds those of
+    the actor's network, its log standard deviations, and the critic's, in this order.
     """
 
     actor: Actor
@@ -100,71 +107,74 @@ class OnPolicy(Agent):
         )
 
     def policy(self) -> TensorDictModuleBase:
-        """Samples of the actor, with log-probabilities."""
+        """Return samples of the actor, with log-probabilities."""
         return RolloutPolicy(self.actor)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
-        """Learn from the rollout [N, T] once its steps have their values."""
-        told = self._learn(add_values(batch, self.critic))
-        self._see(batch["observation"])
-        return told
+        """Add the critic's values to the rollout [N, T] and learn from it."""
+        logged = self._learn(add_values(batch, self.critic))
+        self._update_norm(batch["observation"])
+        return logged
 
     def modules(self) -> dict[str, nn.Module]:
-        """The loss holds actor and critic."""
+        """Return the loss, which holds actor and critic."""
         return {"loss": self._loss}
 
     def optimisers(self) -> dict[str, torch.optim.Optimizer]:
-        """One for everything."""
+        """Return one for everything."""
         return {"all": self._optim}
 
     @property
     def gradient(self) -> Tensor:
-        """[P], by all parameters: what the next step follows."""
+        """Gradient [P] by all parameters, which the next step uses."""
         assert self._params.grad is not None
         return self._params.grad
 
     @abstractmethod
     def _make_loss(self) -> LossModule:
-        """The loss of `self.stochastic` and `self.critic`."""
+        """Build the loss of `self.stochastic` and `self.critic`."""
 
     @abstractmethod
     def _learn(self, batch: TensorDictBase) -> dict[str, float]:
-        """Learn from a rollout [N, T] with `state_value`, now and next."""
+        """Learn from a rollout [N, T] that has `state_value`, now and next."""
 
     @torch.no_grad()
     def _add_distribution(self, samples: TensorDictBase) -> TensorDictBase:
-        """Write `loc` and `scale`, the policy's as it is now, to compare with later."""
+        """Write the present policy's `loc` and `scale`, for a KL divergence later."""
         loc, scale = self.actor(samples["observation"])
         return samples.set("loc", loc).set("scale", scale)
 
-    def _see(self, observation: Tensor) -> None:
-        """Let the norm know observations [N, T, D]."""
+    def _update_norm(self, observation: Tensor) -> None:
+        """Add observations [N, T, D] to the running statistics, if there are any."""
         if isinstance(self.actor.norm, RunningNorm):
             self.actor.norm.update(observation)
 
     def _differentiate(self, loss: Tensor) -> None:
-        """Leave the loss's gradient, as autograd finds it, in `gradient`."""
+        """Write the loss's gradient, computed by autograd, to `gradient`."""
         zero_gradient(self._params)
         loss.backward()
 
     def _descend(self, loss: Tensor) -> None:
-        """A step down the loss's gradient."""
+        """Step down the loss's gradient."""
         self._differentiate(loss)
         self._step()
 
     def _step(self) -> None:
-        """A step down the gradient that the parameters hold."""
+        """Step down the present `gradient`, scaled down to the largest norm."""
         nn.utils.clip_grad_norm_([self._params], self._max_gradient)
         self._optim.step()
 
 
-def losses(found: TensorDictBase) -> dict[str, Any]:
-    """What a loss is the sum of; TorchRL leaves an entropy bonus of weight 0 out."""
-    return {name: part for name, part in found.items() if name.startswith("loss_")}
+def losses(output: TensorDictBase) -> dict[str, Any]:
+    """Return the terms of a TorchRL loss, which are to be added up.
+
+    There is no entropy term where its weight is 0.
+    """
+    return {name: term for name, term in output.items() if name.startswith("loss_")}
 
 
 def minibatches(samples: Samples, count: int) -> Sequence[Samples]:
-    """Samples [B] shuffled and split into so many pieces."""
+    """Shuffle samples [B] and split them into `count` minibatches."""
     shuffled = samples[torch.randperm(len(samples))]
     return shuffled.split(-(-len(samples) // count))
 

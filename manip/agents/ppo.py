@@ -1,4 +1,5 @@
-"""Proximal policy optimisation (Schulman et al. 2017, arXiv 1707.06347), on TorchRL.
+"""Proximal policy optimisation (Schulman et al. 2017, arXiv 1707.06347), with TorchRL's
+ClipPPOLoss.
 
     ratio:     rho = pi(a | s) / pi_old(a | s)
     actor:     max E min(rho A, clip(rho, 1 - eps, 1 + eps) A) + c_H entropy
@@ -6,10 +7,12 @@
     advantage: GAE(lambda): A_t = sum_k (gamma lambda)^k delta_{t+k},
                delta_t = r_t + gamma (1 - terminated) V(s_{t+1}) - V(s_t)
 
-R = A + V. A time limit ends the sum but is bootstrapped through.
+R = A + V. A time limit ends the sum, which then bootstraps from the true last
+observation.
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -17,37 +20,58 @@ from torchrl.objectives import ClipPPOLoss, PPOLoss
 from torchrl.objectives.value import GAE
 
 from manip.agents.agent import Spaces
-from manip.agents.native.ppo_gradients import Told, gradients_of, rows_of
+from manip.agents.native.gradient_check import GradientSource
+from manip.agents.native.ppo_gradients import (
+    MinibatchStats,
+    gradients_of,
+    kl_divergence,
+    rows_of,
+)
 from manip.agents.on_policy import OnPolicy, OnPolicyConfig, minibatches
+from manip.io.option_ranges import COUNT, NUMBER, POSITIVE, SHARE
 
 
 @dataclass(frozen=True)
 class PPOConfig(OnPolicyConfig):
     """Options of PPO; defaults suit manipulation at 20 Hz, rewards in [0, 1]."""
 
-    gae_lambda: float = 0.95
-    """Decay of the advantage estimate's sum."""
-    clip: float | None = 0.2
-    """eps, range of the probability ratio that is rewarded; none at all if None."""
-    epochs: int = 5
+    gae_lambda: Annotated[float, SHARE] = 0.95
+    """lambda of GAE: larger relies more on rewards, less on the critic."""
+    clip: Annotated[float | None, SHARE] = 0.2
+    """eps, range of the probability ratio (clip_range); None does not clip."""
+    epochs: Annotated[int, COUNT] = 5
     """Passes over each rollout."""
-    minibatches: int = 8
-    """Pieces that each pass is split into."""
-    entropy_coefficient: float = 0.002
+    minibatches: Annotated[int, COUNT] = 8
+    """Minibatches per pass."""
+    entropy_coefficient: Annotated[float, NUMBER] = 0.002
     """c_H, weight of the entropy bonus."""
-    target_kl: float | None = 0.05
-    """Mean KL divergence of a pass that makes it the last one; no pass is if None."""
+    target_kl: Annotated[float | None, POSITIVE] = 0.05
+    """Mean KL divergence of a pass after which the update stops; None never stops."""
 
 
 class PPO(OnPolicy):
-    """PPO on TorchRL; see the module's docstring."""
+    """PPO; see the module's docstring.
 
-    def __init__(self, config: PPOConfig, spaces: Spaces, threads: int = 1) -> None:
+    Args:
+        gradients: native code, checked against (Clip)PPOLoss, or this and autograd.
+    """
+
+    name = "ppo"
+    Config = PPOConfig
+    has_native_gradients = True
+
+    def __init__(
+        self,
+        config: PPOConfig,
+        spaces: Spaces,
+        threads: int = 1,
+        gradients: GradientSource = "native",
+    ) -> None:
         self.config = config
         super().__init__(config, spaces)
         self._gae = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None)
         self._gradients = gradients_of(
-            self._loss, self.actor, self.critic, self._params, threads
+            self._loss, self.actor, self.critic, self._params, threads, gradients
         )
 
     def _make_loss(self) -> PPOLoss:
@@ -64,19 +88,19 @@ class PPO(OnPolicy):
         return ClipPPOLoss(self.stochastic, self.critic, **options)
 
     def _learn(self, batch: TensorDictBase) -> dict[str, float]:
-        """Several epochs on the rollout [N, T]."""
+        """Take several epochs of minibatch steps on the rollout [N, T]."""
         rows, pieces = rows_of(self._gae(batch).reshape(-1)), self.config.minibatches
         for _ in range(self.config.epochs):
-            told = [self._improve(piece) for piece in minibatches(rows, pieces)]
-            if self._far([found.kl for found in told]):
+            stats = [self._improve(piece) for piece in minibatches(rows, pieces)]
+            if self._far([minibatch.kl for minibatch in stats]):
                 break
-        return told[-1]._asdict()
+        return stats[-1]._asdict() | {"kl": kl_divergence(self.actor, rows)}
 
     def _far(self, kl: list[float]) -> bool:
         limit = self.config.target_kl
         return limit is not None and sum(kl) / len(kl) > limit
 
-    def _improve(self, rows: Tensor) -> Told:
-        told = self._gradients(rows)
+    def _improve(self, rows: Tensor) -> MinibatchStats:
+        stats = self._gradients(rows)
         self._step()
-        return told
+        return stats

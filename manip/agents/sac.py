@@ -1,4 +1,4 @@
-"""Soft actor-critic (Haarnoja et al. 2018, arXiv 1812.05905), on TorchRL's SACLoss.
+"""Soft actor-critic (Haarnoja et al. 2018, arXiv 1812.05905), with TorchRL's SACLoss.
 
     critic:      min (Q_i(s, a) - y)^2,
                  y = r + gamma r' + ... + gamma^n (1 - terminated) V(s')
@@ -6,13 +6,18 @@
     actor:       min alpha log pi(a | s) - min_i Q_i(s, a),  a ~ pi(. | s)
     temperature: min -log(alpha) (log pi(a | s) + target entropy)
 
-s' is n steps on; Q' is the exponential average of Q. A time limit is no termination:
-y bootstraps through it. What is deployed is the exponential average of the actor
-(Polyak and Juditsky 1992): neighbouring actors differ by 10 % of success and more.
+s' is the state n steps later; Q' is the exponential average of Q. A time limit is no
+termination: y bootstraps from the true last observation. For n > 1 the target leaves
+out the entropy of steps 1 to n - 1, and the actions of those steps are older policies'
+(off-policy bias, not corrected).
+
+The deployed actor is the exponential average of the learned one (Polyak and Juditsky
+1992), as the success rates of consecutive actors differ by 10 % and more.
 """
 
 from copy import deepcopy
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
@@ -22,44 +27,55 @@ from torchrl.modules import ProbabilisticActor, TanhNormal
 from torchrl.objectives import SACLoss
 
 from manip.agents.agent import Spaces
+from manip.agents.exploration import RolloutPolicy
 from manip.agents.flat_parameters import flatten
+from manip.agents.native.gradient_check import GradientSource
 from manip.agents.native.sac_gradients import flatten_loss, sac_gradients
 from manip.agents.networks import Actor
-from manip.agents.off_policy import (
-    OffPolicy,
-    OffPolicyConfig,
-    RolloutPolicy,
-    critics_of,
-)
+from manip.agents.off_policy import OffPolicy, OffPolicyConfig, make_critics
+from manip.io.option_ranges import COUNT, POSITIVE, SHARE, SIGNED
 
 
 @dataclass(frozen=True)
 class SACConfig(OffPolicyConfig):
     """Options of SAC; defaults suit manipulation at 20 Hz, rewards in [0, 1]."""
 
-    actor_hidden: tuple[int, ...] = (128, 128)
+    actor_hidden: Annotated[tuple[int, ...], COUNT] = (128, 128)
     """Widths of the actor's hidden layers."""
-    actor_delay: int = 2
+    actor_delay: Annotated[int, COUNT] = 2
     """Critic updates for each update of the actor and the temperature."""
-    actor_average: float = 0.005
-    """Share of the actor that goes into the deployed one at each of its updates."""
-    critics: int = 2
-    """How many critics there are; targets and actor take the lowest value."""
-    initial_alpha: float = 0.1
-    """Temperature at the start."""
+    actor_average: Annotated[float, SHARE] = 0.005
+    """Fraction by which the deployed actor moves to the learned one at its updates."""
+    critics: Annotated[int, COUNT] = 2
+    """Number of critics; targets and actor use the lowest value."""
+    initial_alpha: Annotated[float, POSITIVE] = 0.1
+    """Temperature at the start (entropy coefficient): more explores more."""
     fixed_alpha: bool = False
-    """Keep the temperature as it is at the start."""
-    target_entropy: float = -3.5
-    """Entropy [nat] that the temperature aims at, of actions in [-1, 1]."""
+    """Keep the temperature at its initial value."""
+    target_entropy: Annotated[float, SIGNED] = -3.5
+    """Entropy [nat] of actions in [-1, 1] that the temperature is adapted to."""
 
 
 class SAC(OffPolicy):
-    """SAC on TorchRL; see the module's docstring."""
+    """SAC; see the module's docstring.
 
+    Args:
+        gradients: native code, checked against SACLoss, or SACLoss and autograd.
+    """
+
+    name = "sac"
+    Config = SACConfig
+    has_native_gradients = True
     actor: Actor
 
-    def __init__(self, config: SACConfig, spaces: Spaces, threads: int = 1) -> None:
-        super().__init__(config)
+    def __init__(
+        self,
+        config: SACConfig,
+        spaces: Spaces,
+        threads: int = 1,
+        gradients: GradientSource = "native",
+    ) -> None:
+        super().__init__(config, spaces)
         self.config = config
         self.explorer = Actor(
             spaces.observation_dim,
@@ -80,22 +96,23 @@ class SAC(OffPolicy):
             config.gamma,
             config.batch_size,
             threads,
+            gradients,
         )
         rate = config.learning_rate
         self._critic_optim = Adam([self._params.critics], rate, fused=True)
         self._actor_optim = Adam([self._params.actor], rate, fused=True)
 
     def policy(self) -> TensorDictModuleBase:
-        """Uniform at first, then samples of the actor."""
+        """Return uniform actions at first, later samples of the learned actor."""
         bursts = self.config.gripper_bursts
         return RolloutPolicy(self.explorer, _sample, self.warming_up, bursts)
 
     def modules(self) -> dict[str, nn.Module]:
-        """The deployed actor; the loss holds the others, and the temperature."""
+        """Return the deployed actor, and the loss, which holds all else."""
         return {"actor": self.actor, "loss": self._loss}
 
     def optimisers(self) -> dict[str, torch.optim.Optimizer]:
-        """One for the critics, one for actor and temperature."""
+        """Return one for the critics, one for actor and temperature."""
         return {"critic": self._critic_optim, "actor": self._actor_optim}
 
     def _learn(self, rows: Tensor) -> dict[str, float]:
@@ -132,7 +149,7 @@ def _loss(config: SACConfig, spaces: Spaces, actor: Actor) -> SACLoss:
     )
     loss = SACLoss(
         stochastic,
-        critics_of(config.critics, spaces, config.critic_hidden),
+        make_critics(config.critics, spaces, config.critic_hidden),
         num_qvalue_nets=config.critics,
         loss_function="l2",
         alpha_init=config.initial_alpha,

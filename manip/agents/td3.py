@@ -1,63 +1,68 @@
-"""Twin delayed DDPG (Fujimoto et al. 2018, arXiv 1802.09477), on TorchRL's TD3Loss.
+"""Twin delayed DDPG (Fujimoto et al. 2018, arXiv 1802.09477), with TorchRL's TD3Loss.
 
     critics: min (Q_i(s, a) - y)^2,
              y = r + gamma r' + ... + gamma^n (1 - terminated) min_i Q'_i(s', a'),
              a' = clip(mu'(s') + clip(sigma' noise, -c, c), -1, 1)
     actor:   max Q_1(s, mu(s)), once in `actor_delay` critic updates
 
-s' is n steps on; Q' and mu' are exponential averages of Q and mu, moved along with the
-actor. Exploration is mu(s) + sigma noise. Actions count in units of action_scale. A
-time limit is no termination: y bootstraps through it. With one critic, no delay and no
-target noise this is DDPG (Lillicrap et al. 2015, arXiv 1509.02971).
+s' is the state n steps later; Q' and mu' are exponential averages of Q and mu, updated
+with the actor. Exploration is mu(s) + sigma noise. The networks see actions in units of
+action_scale. A time limit is no termination: y bootstraps from the true last
+observation. For n > 1 the rewards between s and s' are older policies' (off-policy
+bias, not corrected). With one critic, no delay and no target noise this is DDPG
+(Lillicrap et al. 2015, arXiv 1509.02971).
 """
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Annotated
 
 import torch
-from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Generator, Tensor, nn
 from torch.optim import Adam
 from torchrl.objectives import SoftUpdate, TD3Loss
 
 from manip.agents.agent import Spaces
+from manip.agents.exploration import RolloutPolicy
 from manip.agents.networks import Actor
 from manip.agents.off_policy import (
     OffPolicy,
     OffPolicyConfig,
-    RolloutPolicy,
-    critics_of,
     descend,
+    make_critics,
     transitions_of,
 )
+from manip.io.option_ranges import COUNT, NUMBER
 
 
 @dataclass(frozen=True)
 class TD3Config(OffPolicyConfig):
     """Options of TD3; defaults suit manipulation at 20 Hz, rewards in [0, 1]."""
 
-    actor_hidden: tuple[int, ...] = (128, 128)
+    actor_hidden: Annotated[tuple[int, ...], COUNT] = (128, 128)
     """Widths of the actor's hidden layers."""
-    actor_delay: int = 2
+    actor_delay: Annotated[int, COUNT] = 2
     """Critic updates for each update of the actor and of the targets."""
-    critics: int = 2
-    """How many critics there are; targets take the least of their values."""
-    exploration_noise: float = 0.2
-    """sigma, of the actions that are tried."""
-    target_noise: float = 0.2
-    """sigma', of the actions that targets value."""
-    target_noise_clip: float = 0.5
-    """c, the most that a target's action is moved."""
+    critics: Annotated[int, COUNT] = 2
+    """Number of critics; targets use the lowest value."""
+    exploration_noise: Annotated[float, NUMBER] = 0.2
+    """sigma, standard deviation of the noise while exploring."""
+    target_noise: Annotated[float, NUMBER] = 0.2
+    """sigma', standard deviation of the noise in targets (policy smoothing)."""
+    target_noise_clip: Annotated[float, NUMBER] = 0.5
+    """c, largest noise in targets."""
 
 
 class TD3(OffPolicy):
-    """TD3 on TorchRL; see the module's docstring."""
+    """TD3; see the module's docstring."""
 
+    name = "td3"
+    Config = TD3Config
     actor: Actor
 
     def __init__(self, config: TD3Config, spaces: Spaces, threads: int = 1) -> None:
-        super().__init__(config)
+        super().__init__(config, spaces)
         self.config = config
         self.actor = Actor(
             spaces.observation_dim,
@@ -78,34 +83,30 @@ class TD3(OffPolicy):
         )
 
     def policy(self) -> TensorDictModuleBase:
-        """Uniform at first, then the actor's actions and noise."""
+        """Return uniform actions at first, later the actor's with noise."""
         explore = partial(_noisy, noise=self.config.exploration_noise)
         bursts = self.config.gripper_bursts
         return RolloutPolicy(self.actor, explore, self.warming_up, bursts)
 
-    def update(self, batch: TensorDictBase) -> dict[str, float]:
-        """See `OffPolicy`; the critics see actions in units of action_scale."""
-        unit = batch["action"] / self.actor.action_scale
-        return super().update(batch.copy().set("action", unit))
-
     def modules(self) -> dict[str, nn.Module]:
-        """The loss holds actor, critics and targets."""
+        """Return the loss, which holds actor, critics and targets."""
         return {"loss": self._loss}
 
     def optimisers(self) -> dict[str, torch.optim.Optimizer]:
-        """One for the critics, one for the actor."""
+        """Return one for the critics, one for the actor."""
         return {"critic": self._critic_optim, "actor": self._actor_optim}
 
     def _learn(self, rows: Tensor) -> dict[str, float]:
         batch = transitions_of(rows, self.actor.observation_dim)
+        batch["action"] = batch["action"] / self.actor.action_scale
         loss, _ = self._loss.value_loss(batch)
         descend(self._critic_optim, loss)
         if self._updates % self.config.actor_delay:
             return {}
-        aim, _ = self._loss.actor_loss(batch)
-        descend(self._actor_optim, aim)
+        actor_loss, _ = self._loss.actor_loss(batch)
+        descend(self._actor_optim, actor_loss)
         self._targets.step()
-        return {"loss_critic": loss.item(), "loss_actor": aim.item()}
+        return {"loss_critic": loss.item(), "loss_actor": actor_loss.item()}
 
 
 def _noisy(actor: Actor, observation: Tensor, draw: Generator, noise: float) -> Tensor:
@@ -114,7 +115,7 @@ def _noisy(actor: Actor, observation: Tensor, draw: Generator, noise: float) -> 
 
 
 class _Mean(nn.Module):
-    """mu(s): where tanh puts the mean of an actor's Gaussian."""
+    """mu(s) = tanh(mean of the actor's Gaussian)."""
 
     def __init__(self, actor: Actor) -> None:
         super().__init__()
@@ -127,7 +128,7 @@ class _Mean(nn.Module):
 def _loss(config: TD3Config, spaces: Spaces, actor: Actor) -> TD3Loss:
     loss = TD3Loss(
         TensorDictModule(_Mean(actor), ["observation"], ["action"]),
-        critics_of(config.critics, spaces, config.critic_hidden),
+        make_critics(config.critics, spaces, config.critic_hidden),
         bounds=(-1.0, 1.0),
         num_qvalue_nets=config.critics,
         policy_noise=config.target_noise,

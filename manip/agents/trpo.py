@@ -4,16 +4,17 @@
                rho = pi(a | s) / pi_old(a | s)
     step:      theta += sqrt(2 delta / (x' F x)) x,  x = F^-1 g by conjugate gradients,
                g the gradient of E rho A, F the Hessian of the mean KL (Fisher matrix)
-               and `damping` on its diagonal; halved until the KL is within delta and
+               plus `damping` on its diagonal; halved until the KL is within delta and
                E rho A has grown
     critic:    min (V(s) - R)^2, by Adam with `learning_rate`
     advantage: GAE(lambda), R = A + V, as in PPO
 
-F is never formed: F v is the gradient of (gradient of KL)' v.
+F is never formed: F v is the gradient of (gradient of KL)' v. TorchRL has no TRPO.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from tensordict import TensorDictBase
@@ -24,6 +25,7 @@ from torchrl.objectives.value import GAE
 
 from manip.agents.agent import Spaces
 from manip.agents.on_policy import OnPolicy, OnPolicyConfig, minibatches
+from manip.io.option_ranges import COUNT, NUMBER, SHARE, WHOLE
 
 Product = Callable[[Tensor], Tensor]
 """v [P] -> F v [P]."""
@@ -33,27 +35,27 @@ Product = Callable[[Tensor], Tensor]
 class TRPOConfig(OnPolicyConfig):
     """Options of TRPO; defaults suit manipulation at 20 Hz, rewards in [0, 1]."""
 
-    gae_lambda: float = 0.95
-    """Decay of the advantage estimate's sum."""
-    max_kl: float = 0.02
-    """delta, how far a step may move the policy: mean KL divergence."""
-    conjugate_steps: int = 10
-    """Steps of conjugate gradients."""
-    damping: float = 0.1
+    gae_lambda: Annotated[float, SHARE] = 0.95
+    """lambda of GAE: larger relies more on rewards, less on the critic."""
+    max_kl: Annotated[float, NUMBER] = 0.02
+    """delta, largest mean KL divergence of an update (trust region)."""
+    conjugate_steps: Annotated[int, WHOLE] = 10
+    """Iterations of conjugate gradients."""
+    damping: Annotated[float, NUMBER] = 0.1
     """Added to the Fisher matrix's diagonal."""
-    backtracks: int = 10
-    """Halvings of a step that are tried before it is given up."""
-    epochs: int = 5
+    backtracks: Annotated[int, WHOLE] = 10
+    """Halvings of a step that are tried before the update is given up."""
+    epochs: Annotated[int, COUNT] = 5
     """Passes of the critic over each rollout."""
-    minibatches: int = 8
-    """Pieces that each of the critic's passes is split into."""
+    minibatches: Annotated[int, COUNT] = 8
+    """Minibatches per pass of the critic."""
 
 
 class TRPOLoss(PPOLoss):
-    """PPO's objective without clipping, and the KL divergence that bounds its step."""
+    """PPO's objective without clipping, and the KL divergence of a step."""
 
     def kl(self, samples: TensorDictBase) -> Tensor:
-        """Mean KL(pi_old || pi) over samples that hold pi_old's `loc` and `scale`."""
+        """Return mean KL(pi_old || pi); samples hold pi_old's `loc` and `scale`."""
         old = self.actor_network.build_dist_from_params(samples)
         state = samples.select(*self.actor_network.in_keys)
         with self.actor_network_params.to_module(self.actor_network):
@@ -61,7 +63,10 @@ class TRPOLoss(PPOLoss):
 
 
 class TRPO(OnPolicy):
-    """TRPO on TorchRL; see the module's docstring."""
+    """TRPO; see the module's docstring."""
+
+    name = "trpo"
+    Config = TRPOConfig
 
     def __init__(self, config: TRPOConfig, spaces: Spaces, threads: int = 1) -> None:
         self.config = config
@@ -79,7 +84,7 @@ class TRPO(OnPolicy):
         )
 
     def _learn(self, batch: TensorDictBase) -> dict[str, float]:
-        """A step of the actor, several epochs of the critic, on the rollout [N, T]."""
+        """Take a step of the actor and several epochs of the critic."""
         samples = self._add_distribution(self._gae(batch).reshape(-1))
         return self._improve(samples) | {"loss_critic": self._fit(samples)}
 
@@ -94,7 +99,7 @@ class TRPO(OnPolicy):
     def _search(
         self, samples: TensorDictBase, step: Tensor, before: float
     ) -> dict[str, float]:
-        """Halve the step until it keeps the bound and helps; stay if it never does."""
+        """Halve the step until the KL is in bounds and the loss falls (line search)."""
         params = self._params.data[: len(step)]
         start = params.clone()
         for halvings in range(self.config.backtracks + 1):
@@ -119,13 +124,12 @@ class TRPO(OnPolicy):
         slope = self._gradient(self._loss.kl(samples), create=True)
 
         def product(v: Tensor) -> Tensor:
-            curved = self._gradient(slope @ v)
-            return curved + self.config.damping * v
+            return self._gradient(slope @ v) + self.config.damping * v
 
         return product
 
     def _gradient(self, value: Tensor, create: bool = False) -> Tensor:
-        """[P] gradient by the actor's parameters, in their order."""
+        """Return the gradient [P] by the actor's parameters, in their order."""
         params = [*self.actor.body.parameters(), self.actor.log_std]
         parts = torch.autograd.grad(
             value, params, retain_graph=True, create_graph=create
@@ -134,16 +138,20 @@ class TRPO(OnPolicy):
 
 
 def conjugate_gradients(product: Product, b: Tensor, steps: int) -> Tensor:
-    """x with F x near b (Hestenes and Stiefel 1952), for F symmetric and positive."""
+    """Solve F x = b approximately, F symmetric and positive definite.
+
+    The conjugate gradient method (Hestenes and Stiefel 1952), with residual r = b - F x
+    and search direction p: alpha = r'r / (p'F p), x += alpha p, r -= alpha F p.
+    """
     x, residual, direction = torch.zeros_like(b), b.clone(), b.clone()
-    left = residual @ residual
+    squared = residual @ residual
     for _ in range(steps):
-        curved = product(direction)
-        share = left / (direction @ curved)
-        x += share * direction
-        residual -= share * curved
-        before, left = left, residual @ residual
-        if left < 1e-10:
+        product_p = product(direction)
+        alpha = squared / (direction @ product_p)
+        x += alpha * direction
+        residual -= alpha * product_p
+        previous, squared = squared, residual @ residual
+        if squared < 1e-10:
             break
-        direction = residual + left / before * direction
+        direction = residual + squared / previous * direction
     return x

@@ -1,4 +1,4 @@
-"""Values and transitions over several steps, from rollouts."""
+"""Values, n-step transitions and n-step advantages of rollouts [N, T]."""
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -7,10 +7,10 @@ from torch import nn
 
 @torch.no_grad()
 def add_values(batch: TensorDictBase, critic: nn.Module) -> TensorDictBase:
-    """Write state_value, now and next, of a rollout [N, T].
+    """Write the critic's `state_value` of each step and of its successor.
 
-    The value of a successor is that of the next step's state, except where an episode
-    or the rollout ends: there the true successor is valued.
+    A successor's value is that of the next step's state, except where an episode or the
+    rollout ends: there the critic evaluates the true successor.
     """
     value = critic(batch.select("observation"))["state_value"]
     following = torch.empty_like(value)
@@ -24,12 +24,12 @@ def add_values(batch: TensorDictBase, critic: nn.Module) -> TensorDictBase:
 
 
 def n_step_transitions(batch: TensorDictBase, n: int, gamma: float) -> TensorDictBase:
-    """Transitions of up to n steps out of a rollout [N, T], under the same keys.
+    """Form transitions of up to n steps from a rollout [N, T], with the same keys.
 
-    reward is r_t + gamma r_{t+1} + ... over the steps until n are taken, the episode
-    ends or the rollout does; `next` is what follows the last of them, and
-    `steps_to_next_obs` [N, T, 1] their number, as torchrl's value estimators know it.
-    Unlike in torchrl.data.MultiStep, `terminated` is that of the last step, too.
+    The reward is r_t + gamma r_{t+1} + ... over m steps: n, or fewer where the episode
+    or the rollout ends before. `next` follows the last of these steps, and
+    `steps_to_next_obs` [N, T, 1] is m, as TorchRL's value estimators expect. Unlike in
+    torchrl.data.MultiStep, `terminated` is also that of the last step.
     """
     reward = batch["next", "reward"].clone()
     going = ~batch["next", "done"]
@@ -41,10 +41,10 @@ def n_step_transitions(batch: TensorDictBase, n: int, gamma: float) -> TensorDic
         going[:, :-k] = more & ~batch["next", "done"][:, k:]
         going[:, -k:] = False
     steps = last - torch.arange(batch.shape[1]) + 1
-    worlds = torch.arange(batch.shape[0]).unsqueeze(-1)
+    env_ids = torch.arange(batch.shape[0]).unsqueeze(-1)
     following = {
-        "observation": batch["next", "observation"][worlds, last],
-        "terminated": batch["next", "terminated"][worlds, last],
+        "observation": batch["next", "observation"][env_ids, last],
+        "terminated": batch["next", "terminated"][env_ids, last],
         "reward": reward,
     }
     return TensorDict(
@@ -62,11 +62,13 @@ def n_step_transitions(batch: TensorDictBase, n: int, gamma: float) -> TensorDic
 def n_step_advantages(
     batch: TensorDictBase, n: int, gamma: float, critic: nn.Module
 ) -> TensorDictBase:
-    """Write value_target and advantage from n rewards each to a rollout [N, T].
+    """Write `value_target` and `advantage`, of n rewards each, to a rollout [N, T].
 
-    The target is r_t + ... + gamma^(n-1) r_{t+n-1} + gamma^n V(s_{t+n}), with fewer
-    rewards where the episode or the rollout ends before, and no V after a termination;
-    the advantage is the target less `state_value`.
+        target = r_t + ... + gamma^(n-1) r_{t+n-1} + gamma^n V(s_{t+n})
+        advantage = target - V(s_t)
+
+    There are fewer rewards where the episode or the rollout ends before, and V is 0
+    after a termination.
     """
     steps = n_step_transitions(batch, n, gamma)
     future = critic(steps["next"].select("observation"))["state_value"]

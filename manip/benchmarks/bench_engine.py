@@ -33,7 +33,7 @@ def comparison(settings: Settings) -> Comparison:
         f"{settings.task}, {settings.num_envs} environments",
         _stock(settings.task, exact) | _exact(exact, engines) | _fast(settings),
         ratios=_ratios(usable_cpus()),
-        facts={"memory_per_env_kib": engines[1].bytes_per_world / 1024},
+        facts={"memory_per_env_kib": engines[1].bytes_per_env / 1024},
     )
 
 

@@ -1,15 +1,17 @@
 """Stable-Baselines3's SAC on stock robosuite, through Gymnasium."""
 
 import time
+from collections.abc import Mapping
 from copy import deepcopy
 from typing import Any
 
 import gymnasium
+import torch
 from gymnasium.wrappers import TimeLimit
 from rich.console import Console
 from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
-from torch import nn
+from torch import Tensor, nn
 
 from manip.benchmarks.time_to_success import GOAL, TimedRun, held_in_stock
 from manip.envs.adapters.gymnasium import TaskEnv
@@ -48,12 +50,27 @@ def stock_env(task: str) -> gymnasium.Env:
 
 def learn(task: str, seed: int, limit: float, episodes: int) -> TimedRun:
     """Train until an evaluation reaches the goal, or for `limit` seconds."""
-    evaluation = _Evaluation(task, limit, episodes)
-    learner = SAC("MlpPolicy", stock_env(task), seed=seed, device="cpu", **OPTIONS)
+    env = stock_env(task)
+    names = tuple(env.unwrapped.batch.observation_spec.slices)
+    evaluation = _Evaluation(task, names, limit, episodes)
+    learner = SAC("MlpPolicy", env, seed=seed, device="cpu", **OPTIONS)
     learner.learn(2**62, callback=evaluation, log_interval=None)
     assert evaluation.rate is not None
     steps = learner.num_timesteps
     return TimedRun(NAME, seed, evaluation.seconds, steps, evaluation.rate)
+
+
+class _MeanActor(nn.Module):
+    """A copy of SB3's actor without noise: observation parts -> action [N, A]."""
+
+    def __init__(self, actor: Any, names: tuple[str, ...]) -> None:
+        super().__init__()
+        self._net = deepcopy(nn.Sequential(actor.latent_pi, actor.mu, nn.Tanh()))
+        self._names = names
+
+    def forward(self, parts: Mapping[str, Tensor]) -> Tensor:
+        joined = torch.cat([parts[name].flatten(1) for name in self._names], 1)
+        return self._net(joined)
 
 
 class _Evaluation(BaseCallback):
@@ -65,9 +82,12 @@ class _Evaluation(BaseCallback):
 
     rate: Rate | None = None
 
-    def __init__(self, task: str, limit: float, episodes: int) -> None:
+    def __init__(
+        self, task: str, names: tuple[str, ...], limit: float, episodes: int
+    ) -> None:
         super().__init__()
-        self._task, self._limit, self._episodes = task, limit, episodes
+        self._task, self._names = task, names
+        self._limit, self._episodes = limit, episodes
         self._interval = self._next = limit / EVALUATIONS
         self._start = time.monotonic()
 
@@ -87,8 +107,7 @@ class _Evaluation(BaseCallback):
         return self.rate.rate < GOAL and self.seconds < self._limit
 
     def _evaluate(self) -> Rate:
-        actor = self.model.policy.actor
-        policy = deepcopy(nn.Sequential(actor.latent_pi, actor.mu, nn.Tanh()))
+        policy = _MeanActor(self.model.policy.actor, self._names)
         return held_in_stock(self._task, policy, self._episodes, RobotConfig())
 
     def _report(self, seconds: float, rate: Rate) -> None:

@@ -11,7 +11,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from manip.evaluation.episodes import Policy
-from manip.evaluation.runners import stock_episodes
+from manip.evaluation.runners import EpisodeSettings, evaluate_policy
 from manip.evaluation.statistics import Rate, success_rate
 from manip.robot_config import RobotConfig
 
@@ -91,9 +91,8 @@ def held_in_stock(task: str, policy: Policy, episodes: int, robot: RobotConfig) 
     """Rate of success_held in stock robosuite; shows a progress bar."""
     with Progress(console=Console(stderr=True), transient=True) as bar:
         running = bar.add_task("stock robosuite", total=episodes)
-        results = stock_episodes(
-            task, policy, episodes, 0, robot, lambda n: bar.advance(running, n)
-        )
+        settings = EpisodeSettings(task, robot, episodes=episodes)
+        results = evaluate_policy(policy, settings, lambda n: bar.advance(running, n))
     return success_rate([episode.success_held for episode in results])
 
 

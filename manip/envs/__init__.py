@@ -1,7 +1,6 @@
-"""Environments: tasks as TorchRL, on the engine and in stock robosuite.
+"""Environments: tasks on the batch engine, in stock robosuite, and in TorchRL.
 
-The environments load TorchRL, which takes seconds, when they are first asked for:
-whoever only steps the engine does not wait for it.
+`TaskEnv` loads TorchRL, which takes seconds, when it is first used.
 """
 
 import importlib

@@ -1,23 +1,57 @@
-"""Random streams that belong to an episode of a world, and to nothing else."""
+"""Random streams of episodes, derived from seed, purpose, environment and episode.
+
+Streams are never derived by adding: seeds 0 and 1, or episodes of training and of an
+evaluation with the same seed, share no random numbers.
+"""
+
+from enum import IntEnum
+from numbers import Integral
 
 import numpy as np
 
+from manip.errors import UserError, shown
+
 Array = np.ndarray
+
+
+class Purpose(IntEnum):
+    """What episodes are for; those of different purposes are different episodes."""
+
+    TRAINING = 0
+    EVALUATION = 1
+    CHOICE = 2
+    """Choosing a checkpoint or a seed: not trained on, and not reported."""
+
+
+TRAINING, EVALUATION, CHOICE = Purpose
 
 
 class EpisodeStreams:
     """One counter-based stream (Philox) for each of n episodes.
 
-    The stream of episode e of world w depends on (seed, w, e) only, so the same seed
-    gives the same episodes whatever the number of worlds or threads.
+    The stream of episode e of environment i depends on (seed, purpose, i, e) only, so
+    the same seed gives the same episodes for any number of environments or threads.
+
+    Args:
+        seed: below 2^64.
+        env_ids: [n] int.
+        episodes: [n] int, number of the episode of each environment.
+        purpose: what the episodes are for.
     """
 
-    def __init__(self, seed: int, worlds: Array, episodes: Array) -> None:
+    def __init__(
+        self,
+        seed: int,
+        env_ids: Array,
+        episodes: Array,
+        purpose: Purpose = TRAINING,
+    ) -> None:
+        key = np.array([seed, purpose], np.uint64)
         self._generators = [
             np.random.Generator(
-                np.random.Philox(key=seed, counter=[0, 0, episode, world])
+                np.random.Philox(key=key, counter=[0, 0, episode, env_id])
             )
-            for world, episode in zip(worlds, episodes, strict=True)
+            for env_id, episode in zip(env_ids, episodes, strict=True)
         ]
 
     def __len__(self) -> int:
@@ -32,3 +66,51 @@ class EpisodeStreams:
         """[n, size] numbers, Gaussian with standard deviation `scale`."""
         draws = [generator.standard_normal(size) for generator in self._generators]
         return scale * np.stack(draws)
+
+
+def episode_seed(
+    seed: int, purpose: int, env_id: int, episode: int
+) -> np.random.SeedSequence:
+    """The seed of one episode, for libraries that have a generator of their own.
+
+    A spawn key keeps the four numbers apart, however large the seed is.
+    """
+    return np.random.SeedSequence(seed, spawn_key=(purpose, env_id, episode))
+
+
+def build_seed(seed: int, purpose: int, env_id: int) -> int:
+    """What an environment samples once, when it is built: a seed below 2^32."""
+    sequence = np.random.SeedSequence(seed, spawn_key=(purpose, env_id))
+    return int(sequence.generate_state(1)[0])
+
+
+def check_seed(seed: object) -> int:
+    """The seed as an int.
+
+    Raises:
+        UserError: it is not a whole number from 0 to 2^64 - 1.
+    """
+    if (
+        not isinstance(seed, Integral)
+        or isinstance(seed, bool)
+        or not 0 <= int(seed) < 2**64
+    ):
+        raise UserError(
+            f"seed must be a whole number from 0 to 2^64 - 1, not {shown(seed)}"
+        )
+    return int(seed)
+
+
+def check_purpose(purpose: object) -> Purpose:
+    """The purpose of that number.
+
+    Raises:
+        UserError: there is none.
+    """
+    try:
+        return Purpose(purpose)  # type: ignore[arg-type]
+    except ValueError:
+        known = ", ".join(f"{each.value} ({each.name})" for each in Purpose)
+        raise UserError(
+            f"unknown purpose {shown(purpose)}: choose one of {known}"
+        ) from None

@@ -1,4 +1,4 @@
-"""Numbers that went wrong in a world: which, where, and how to see it again."""
+"""Non-finite numbers in an environment: which, and where."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -9,40 +9,45 @@ Array = np.ndarray
 
 
 class Fault(NamedTuple):
-    """What was not finite, or no physics any more, in a step of one world.
+    """Non-finite numbers, or diverged physics, in one step of one environment.
 
-    what: "physics", "action", "observation 'cube_pos'", "reward term 'reach'", or
-    several of them. step: control steps of the episode, with this one.
+    Attributes:
+        task: name of the task.
+        what: "physics", "action", "observation 'cube_pos'", "reward term 'reach'", or
+            several of them.
+        env_id: index of the environment.
+        episode: number of its episode.
+        step: control steps of the episode, this one included.
     """
 
     task: str
     what: str
-    world: int
+    env_id: int
     episode: int
     step: int
 
     def __str__(self) -> str:
         return (
-            f"{self.task}: {self.what} of world {self.world} is not finite in step "
-            f"{self.step} of its episode {self.episode}"
+            f"{self.task}: {self.what} of environment {self.env_id} is not finite in "
+            f"step {self.step} of its episode {self.episode}"
         )
 
     @property
     def name(self) -> str:
-        """Fit for a file."""
-        return f"world{self.world}-episode{self.episode}-step{self.step}"
+        """A file name."""
+        return f"env{self.env_id}-episode{self.episode}-step{self.step}"
 
 
-def not_finite(
-    kind: str, parts: Mapping[str, Array], worlds: int
+def non_finite(
+    kind: str, named: Mapping[str, Array], num_envs: int
 ) -> list[tuple[str, Array]]:
-    """What of the parts, [N] or [N, k] each, is not finite as float32, and where."""
+    """For each array [N] or [N, k]: "kind 'name'", and [N] bool where float32 fails."""
     with np.errstate(over="ignore"):
         finite = {
-            f"{kind} {name!r}": np.isfinite(np.asarray(part, np.float32))
-            for name, part in parts.items()
+            f"{kind} {name!r}": np.isfinite(np.asarray(values, np.float32))
+            for name, values in named.items()
         }
     return [
-        (name, np.logical_not(found.reshape(worlds, -1).all(axis=1)))
-        for name, found in finite.items()
+        (name, np.logical_not(values.reshape(num_envs, -1).all(axis=1)))
+        for name, values in finite.items()
     ]

@@ -1,14 +1,16 @@
-"""Build a batch of task environments: the one place where every program gets them."""
+"""Build a batch of task environments: the one function that every program uses."""
 
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
-from manip.envs.backends.external_batch import ExternalBatch, ExternalTask
+from manip.envs.backends.external_batch import ExternalBatch
 from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.backends.stock_batch import StockBatch
+from manip.envs.external_task import ExternalTask
 from manip.envs.task import Task
 from manip.envs.task_batch import TaskBatch
+from manip.envs.task_errors import exits_blamed
 from manip.envs.task_registry import load_task
-from manip.errors import UserError, check_choice
+from manip.errors import UserError, check_choice, shown
 from manip.robot_config import RobotConfig
 
 Backend = Literal["native", "stock"]
@@ -22,30 +24,57 @@ def make_batch(
     num_envs: int = 1,
     *,
     backend: Backend = "native",
-    robot: RobotConfig = PANDA,
+    robot: RobotConfig | str = PANDA,
     **options: Any,
 ) -> TaskBatch:
     """Build N environments of a task.
 
     Args:
-        task: the task, its name, or package.module:Task.
+        task: the task, or its name as in `load_task`.
         num_envs: N; 1 for the stock backend.
         backend: what steps them; tasks of another library are stepped by that library.
-        robot: arm, controller and control frequency.
+        robot: arm, controller and control frequency; or the arm's name alone.
         options: as in `NativeBatch`, `StockBatch` or `ExternalBatch`.
 
     Raises:
         UserError: no such task, backend, robot or option value.
     """
-    check_choice("backend", backend, ("native", "stock"))
-    found = load_task(task) if isinstance(task, str) else task
-    if isinstance(found, ExternalTask):
-        return ExternalBatch(found, num_envs, robot=robot, **options)
+    check_choice("backend", backend, get_args(Backend))
+    robot = robot_config_of(robot)
+    loaded = load_task(task) if isinstance(task, str) else task
+    with exits_blamed(loaded):
+        return _build(loaded, num_envs, backend, robot, options)
+
+
+def robot_config_of(robot: RobotConfig | str) -> RobotConfig:
+    """The configuration; of an arm's name alone, with the default controller.
+
+    Raises:
+        UserError: it is neither.
+    """
+    if isinstance(robot, str):
+        return RobotConfig(robot)
+    if not isinstance(robot, RobotConfig):
+        raise UserError(
+            f"robot must be a RobotConfig or an arm's name, not {shown(robot)}"
+        )
+    return robot
+
+
+def _build(
+    task: Task,
+    num_envs: int,
+    backend: str,
+    robot: RobotConfig,
+    options: dict[str, Any],
+) -> TaskBatch:
+    if isinstance(task, ExternalTask):
+        return ExternalBatch(task, num_envs, robot=robot, **options)
     if backend == "native":
-        return NativeBatch(found, num_envs, robot=robot, **options)
+        return NativeBatch(task, num_envs, robot=robot, **options)
     if num_envs != 1:
         raise UserError(
-            f"the stock backend steps one environment, not {num_envs}: start several "
-            "processes, or choose the native backend"
+            f"the stock backend steps one environment, not {shown(num_envs)}: start "
+            "several processes, or choose the native backend"
         )
-    return StockBatch(found, robot=robot, **options)
+    return StockBatch(task, robot=robot, **options)

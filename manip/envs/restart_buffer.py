@@ -1,9 +1,9 @@
-"""States that an agent has reached before, as starts of later episodes.
+"""RestartBuffer: visited states, from which later episodes start.
 
-Episodes that begin near the goal show the learner what a far start would show it only
-once it is good: how to let go of a cube on another, say. (Restarts from past states:
-Salimans and Chen 2018, arXiv 1812.03381, from a demonstration; Ecoffet et al. 2021,
-arXiv 2004.12919, from the agent's own.)
+Episodes that begin near the goal show the learner states that a far start would reach
+only with a good policy: releasing a cube on another, for example. (Restarts from past
+states: Salimans and Chen 2018, arXiv 1812.03381, from a demonstration; Ecoffet et al.
+2021, arXiv 2004.12919, from the agent's own.)
 """
 
 from typing import Any
@@ -11,67 +11,80 @@ from typing import Any
 import numpy as np
 
 from manip.envs.episode_streams import EpisodeStreams
-from manip.sim.batch_engine import Snapshot
+from manip.envs.option_checks import state_array
+from manip.errors import UserError
+from manip.sim.engine import Snapshot
 
 Array = np.ndarray
 
 CAPACITY = 400
-"""States kept for each stage, the latest ones (measured on Stack and PickPlaceCan)."""
-EVERY = 7
-"""Control steps between two looks at the same world."""
+"""States stored per milestone, the latest ones (measured on Stack and PickPlaceCan)."""
+INTERVAL = 7
+"""Control steps between two states stored from one environment."""
 
 
 class RestartBuffer:
-    """The latest states of every stage of a task but the last, its success.
+    """The latest states of every milestone of a task but the last, its success.
 
-    A state belongs to the last of the milestones that hold in it.
+    A state belongs to the last milestone that it has reached.
 
     Args:
         milestones: number of the task's milestones.
-        like: a snapshot of worlds such as those that are kept.
+        like: a snapshot of environments like those whose states are stored.
     """
 
     def __init__(self, milestones: int, like: Snapshot) -> None:
-        room = (milestones - 1, CAPACITY)
-        self._states = np.zeros((*room, like.states.shape[1]))
-        self._readings = np.zeros((*room, like.readings.shape[1]))
-        self._kept = np.zeros(milestones - 1, np.int64)
+        rows = (milestones - 1, CAPACITY)
+        self._states = np.zeros((*rows, like.states.shape[1]))
+        self._readings = np.zeros((*rows, like.readings.shape[1]))
+        self._count = np.zeros(milestones - 1, np.int64)
 
-    def keep(self, snapshot: Snapshot, reached: Array) -> None:
-        """Keep worlds of a snapshot of n, by the milestones [n, M] that hold in them."""
+    def store(self, snapshot: Snapshot, reached: Array) -> None:
+        """Store states of a snapshot of n, by the milestones [n, M] they have reached.
+
+        States that have reached none, or the last, are left out.
+        """
         last = reached.shape[1] - 1 - np.argmax(reached[:, ::-1], axis=1)
-        fit = reached.any(1) & ~reached[:, -1]
-        for row in np.flatnonzero(fit):
-            stage = last[row]
-            at = self._kept[stage] % CAPACITY
-            self._states[stage, at] = snapshot.states[row]
-            self._readings[stage, at] = snapshot.readings[row]
-            self._kept[stage] += 1
+        useful = reached.any(1) & ~reached[:, -1]
+        for row in np.flatnonzero(useful):
+            milestone = last[row]
+            slot = self._count[milestone] % CAPACITY
+            self._states[milestone, slot] = snapshot.states[row]
+            self._readings[milestone, slot] = snapshot.readings[row]
+            self._count[milestone] += 1
 
     def draw(self, streams: EpisodeStreams) -> Snapshot:
-        """A state for each stream: any stage that was reached, then any state of it."""
-        known = np.flatnonzero(self._kept)
+        """One state per stream: a milestone, then one of its states, uniformly."""
+        reached = np.flatnonzero(self._count)
         unit = streams.uniform(0, 1, 2)
-        stage = known[(unit[:, 0] * len(known)).astype(np.int64)]
-        held = np.minimum(self._kept[stage], CAPACITY)
-        at = (unit[:, 1] * held).astype(np.int64)
-        return Snapshot(self._states[stage, at], self._readings[stage, at])
+        milestone = reached[(unit[:, 0] * len(reached)).astype(np.int64)]
+        stored = np.minimum(self._count[milestone], CAPACITY)
+        slot = (unit[:, 1] * stored).astype(np.int64)
+        return Snapshot(self._states[milestone, slot], self._readings[milestone, slot])
 
     @property
     def empty(self) -> bool:
-        """Whether no stage was reached so far."""
-        return not self._kept.any()
+        """Whether no state has been stored."""
+        return not self._count.any()
 
     def save_state(self) -> dict[str, Any]:
         """Everything that `draw` depends on."""
         return {
             "states": self._states.copy(),
             "readings": self._readings.copy(),
-            "kept": self._kept.copy(),
+            "count": self._count.copy(),
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """Put back what `save_state` gave."""
-        self._states[:] = state["states"]
-        self._readings[:] = state["readings"]
-        self._kept[:] = state["kept"]
+        """Restore what `save_state` returned.
+
+        Raises:
+            UserError: it is of a buffer of other shapes.
+        """
+        states = state_array(state, "states", self._states)
+        readings = state_array(state, "readings", self._readings)
+        count = state_array(state, "count", self._count)
+        if (count < 0).any():
+            raise UserError("count of the saved restart buffer is negative")
+        self._states[:], self._readings[:] = states, readings
+        self._count[:] = count

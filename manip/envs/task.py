@@ -1,6 +1,6 @@
-"""What a task is: vectorised functions of named measurements.
+"""Task: a manipulation task as vectorised functions of named measurements.
 
-A task knows nothing of what produced the measurements: the batch engine, a stock
+A task does not depend on what produced the measurements: the batch engine, a stock
 robosuite environment, or anything else with the same names.
 """
 
@@ -24,22 +24,27 @@ Weights = Mapping[str, Mapping[str, float]]
 
 
 class Start(NamedTuple):
-    """Where n episodes start: qpos [n, nq], and model fields name -> [n, k]."""
+    """Start states of n episodes: qpos [n, nq], and model fields name -> [n, k]."""
 
     qpos: Array
     fields: Mapping[str, Array] = {}
 
 
 class Task(ABC):
-    """A manipulation task, stated once for every backend.
+    """A manipulation task, defined once for every backend.
+
+    All methods are vectorised over N environments and must treat each row alone: after
+    a reset, they are called with the rows of the environments that restarted.
 
     Attributes:
         robosuite_name: the robosuite environment that models it.
         sensors: what it reads and sets, by MuJoCo names.
         horizon: length of an episode [control steps].
-        weights: reward set -> term -> weight; "shaped" pays in [0, 1] per step,
-            "stock" equals robosuite's shaped reward.
+        weights: reward set -> term -> weight; "shaped" pays in [0, 1] per step, so its
+            weights sum to at most 1; "stock" equals robosuite's shaped reward.
         milestone_names: the milestones towards success, in order.
+        proprioception: parts of the observation that a real arm measures by itself;
+            all others describe objects.
     """
 
     robosuite_name: ClassVar[str]
@@ -47,10 +52,14 @@ class Task(ABC):
     horizon: ClassVar[int]
     weights: ClassVar[Weights]
     milestone_names: ClassVar[tuple[str, ...]]
+    proprioception: ClassVar[tuple[str, ...]] = (
+        *("joint_pos", "joint_vel"),
+        *("gripper_qpos", "gripper_closing", "eef_pos"),
+    )
 
     @abstractmethod
     def sample_start(self, scene: Scene, streams: EpisodeStreams) -> Start:
-        """Draw where len(streams) episodes start."""
+        """Draw the start states of len(streams) episodes."""
 
     @abstractmethod
     def measure(self, read: Measures) -> Measures:
@@ -66,17 +75,17 @@ class Task(ABC):
 
     @abstractmethod
     def success(self, m: Measures) -> Array:
-        """[N] bool: the goal holds now."""
+        """[N] bool: the goal is reached now."""
 
     @abstractmethod
     def milestones(self, m: Measures) -> dict[str, Array]:
-        """Stage name -> [N] bool: the milestone holds now."""
+        """Milestone name -> [N] bool: it is reached now."""
 
     def update_memory(self, m: Measures) -> Mapping[str, Array]:
-        """What to keep of the episode: names of sensors.memory -> [N, k].
+        """Numbers to store for the rest of the episode: sensors.memory name -> [N, k].
 
-        Asked as an episode begins and after each step; later readings hold it, which
-        must not change what is observed (default: nothing).
+        Called as an episode begins and after each step; later readings contain them.
+        They must not change the observation (default: nothing is stored).
         """
         return {}
 
@@ -85,13 +94,13 @@ class Task(ABC):
         return np.zeros(len(m["joint_pos"]), bool)
 
     def expert(self, m: Measures) -> Array:
-        """[N, A] in [-1, 1]: what solves the task, by OSC_POSE (default: nothing does).
+        """[N, A] OSC_POSE action in [-1, 1] that solves the task (default: an error).
 
-        Worth writing: it proves that the task can be solved, and `--algo bc` clones it.
+        An expert proves that the task can be solved, and `--algo bc` imitates it.
         """
         raise UserError(
-            f"task {self.name!r} has no script to imitate: give it a method script(m), "
-            "or choose another algorithm"
+            f"task {self.name!r} has no expert to imitate: define its method "
+            "expert(m), or choose another algorithm"
         )
 
     @property

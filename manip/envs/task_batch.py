@@ -1,67 +1,69 @@
-"""N worlds of a task, whatever steps them: their episodes, and what is seen of them.
+"""TaskBatch: N environments of one task, stepped by a simulation backend.
 
-Plain numpy: what TorchRL, Gymnasium and dm_env see of a task are adaptors of this.
+Plain numpy; TorchRL, Gymnasium and dm_env environments are adapters of it.
 """
 
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, TypedDict
 
 import numpy as np
 
-from manip.envs.faults import Fault, not_finite
+from manip.envs.episode_streams import TRAINING, Purpose, check_purpose, check_seed
+from manip.envs.faults import Fault, non_finite
+from manip.envs.measure_cache import MeasureCache
+from manip.envs.option_checks import state_array
+from manip.envs.reward_range import RewardRange
 from manip.envs.task import Measures, Task
-from manip.envs.task_check import blamed, check_task
-from manip.errors import UserError, check_choice
-from manip.rewards.compose import weighted_sum
+from manip.envs.task_check import check_task
+from manip.envs.task_errors import blamed, exits_blamed
+from manip.envs.task_outputs import OutputForm, TaskOutputs, evaluate
+from manip.envs.time_step import TimeStep
+from manip.errors import UserError, at_least, check_choice
+from manip.observation import vector_spec
+from manip.rewards.compose import override_weights, weighted_sum
+from manip.sim.actions import checked_actions
 
 Array = np.ndarray
 
 
-class TimeStep(NamedTuple):
-    """N worlds at one instant; the observation [N, D] is float32, flags are [N] bool.
+class EpisodeOptions(TypedDict, total=False):
+    """Options of the episodes, which every backend takes (see `TaskBatch`)."""
 
-    reward_terms and milestones hold [N] under each name of the worlds' `reward_names` and
-    of task.milestone_names. terminated: the task failed, there is no future; truncated: time is
-    up, or the world broke; bootstrap through it.
-    """
-
-    observation: Array
-    reward: Array
-    reward_terms: Mapping[str, Array]
-    success: Array
-    milestones: Mapping[str, Array]
-    terminated: Array
-    truncated: Array
-
-    @property
-    def done(self) -> Array:
-        """[N] bool: the episode is over."""
-        return self.terminated | self.truncated
+    horizon: int | None
+    reward: str
+    reward_weights: Mapping[str, float] | None
+    seed: int
+    purpose: int
 
 
 class TaskBatch(ABC):
-    """Base of the worlds on the engine and in stock robosuite; subclasses move them.
+    """Base class of the backends, which move the environments.
 
     Args:
-        task: what is to be done.
+        task: the task.
         num_envs: N.
         action_dim: A.
-        horizon: episode length [control steps]; the task's own unless given.
-        reward: which of the task's reward sets is paid, "shaped" or "stock".
-        seed: of all episodes; episode e of world w depends on (seed, w, e) only.
+        horizon: episode length [control steps]; the task's own by default.
+        reward: reward set that is paid, "shaped" or "stock".
+        reward_weights: weights that replace those of the set, term -> weight.
+        seed: episode e of environment i depends on (seed, purpose, i, e) only.
+        purpose: see `manip.envs.episode_streams.Purpose`.
 
     Raises:
-        UserError: a function of the task gives something of the wrong name or shape.
+        UserError: an option is out of its range, or a function of the task returns a
+            wrong name, shape or dtype.
 
     Attributes:
-        layout: observation part -> slice of the observation vector.
-        elapsed: [N] control steps since each world's episode began.
-        episode: [N] number of each world's episode; -1 before the first.
-        faults: the latest worlds that were lost; whoever tells of them removes them.
-        fault_count: how many were lost so far.
-        stop_at_faults: whether a world that is lost is an error.
+        observation_spec: names, shapes and roles of the observation's parts.
+        reward_weights: term -> weight, as paid.
+        reward_names: names of the terms, in order.
+        elapsed: [N] control steps since each episode began.
+        episode: [N] number of each environment's episode; -1 before the first.
+        faults: the latest faults; the reader removes those that it has reported.
+        fault_count: number of faults so far.
+        stop_at_faults: whether a fault raises UserError.
     """
 
     stop_at_faults = False
@@ -71,208 +73,232 @@ class TaskBatch(ABC):
         task: Task,
         num_envs: int,
         action_dim: int,
-        horizon: int | None,
-        reward: str,
-        seed: int,
+        horizon: int | None = None,
+        reward: str = "shaped",
+        reward_weights: Mapping[str, float] | None = None,
+        seed: int = 0,
+        purpose: int = TRAINING,
     ) -> None:
-        with blamed(task):
-            check_choice("reward", reward, tuple(task.weights))
-            self.reward_names = tuple(task.weights[reward])
+        at_least(1, "num_envs", num_envs)
+        at_least(1, "horizon", 1 if horizon is None else horizon)
         self.task = task
         self.num_envs = num_envs
         self.action_dim = action_dim
-        self.horizon = horizon or task.horizon
         self.reward_set = reward
+        self.seed = check_seed(seed)
+        self.purpose: Purpose = check_purpose(purpose)
+        self.episode = np.full(num_envs, -1, dtype=np.int64)
+        self._begun = np.zeros(num_envs, bool)
         self.elapsed = np.zeros(num_envs, dtype=np.int64)
         self.faults: deque[Fault] = deque(maxlen=1000)
         self.fault_count = 0
-        self._lost = np.zeros(num_envs, bool)
         with blamed(task):
+            check_choice("reward", reward, tuple(task.weights))
             check_task(task, self.read(), num_envs)
-            self.layout = _layout(task.observe(task.measure(self.read())))
-        width = max(part.stop for part in self.layout.values())
-        self._seen = np.zeros((num_envs, width), np.float32)
-        self.seed = seed
-        self.restart()
+            self.horizon = task.horizon if horizon is None else horizon
+            overrides = reward_weights or {}
+            self.reward_weights = override_weights(task.weights[reward], overrides)
+            self._cache = MeasureCache(task, num_envs, self.read, self._version)
+            outputs = evaluate(task, self._cache.get(), reward)
+        self.reward_names = tuple(self.reward_weights)
+        self.observation_spec = vector_spec(outputs.parts, task.proprioception)
+        self._form = OutputForm(task, outputs)
+        self._range = RewardRange(task, reward == "shaped" and not reward_weights)
+        self._last_observation = np.zeros(
+            (num_envs, self.observation_spec.dim), np.float32
+        )
+        self._non_finite = np.zeros(num_envs, bool)
 
     @abstractmethod
     def read(self) -> Measures:
-        """Current readings of all worlds."""
+        """Current readings of all environments."""
+
+    def _version(self) -> object:
+        """Differs once the state has changed; by default it may always have."""
+        return object()
 
     @abstractmethod
-    def visual_model(self, world: int) -> Any:
-        """MuJoCo model that draws a world's present episode (manip.sim.renderer)."""
+    def visual_model(self, env_id: int) -> Any:
+        """MuJoCo model that draws an environment's present episode."""
 
     @abstractmethod
-    def _start_episodes(self, worlds: Array) -> None:
-        """Put the given worlds at the start of their episode `self.episode[worlds]`."""
+    def _start_episodes(self, env_ids: Array) -> None:
+        """Reset environments to the start of their episode `self.episode[env_ids]`."""
 
     @abstractmethod
-    def _keep(self, worlds: Array, memory: Mapping[str, Array]) -> None:
-        """Keep what the task remembers of the given worlds: name -> [n, k]."""
+    def _keep(self, env_ids: Array, memory: Mapping[str, Array]) -> None:
+        """Store the task's memory of the given environments: name -> [n, k]."""
 
     @abstractmethod
     def _move(self, action: Array) -> Array:
-        """Advance all worlds by one control step; [N] bool, the worlds that broke."""
+        """Advance all environments one control step; [N] bool, those that diverged."""
 
     def save_state(self) -> dict[str, Any]:
         """Everything the coming steps depend on."""
         raise UserError(f"{type(self).__name__} cannot save its state")
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """Put back what `save_state` gave; `observe` then shows it."""
+        """Restore what `save_state` returned; `observe` then shows it."""
         raise UserError(f"{type(self).__name__} cannot restore a state")
 
-    def restart(self, seed: int | None = None) -> None:
-        """Begin anew: every world's next episode is the first of the seed."""
-        self.seed = self.seed if seed is None else seed
-        self.episode = np.full(self.num_envs, -1, dtype=np.int64)
+    def _clocks(self) -> dict[str, Any]:
+        """The part of the state that all backends share."""
+        return {
+            "elapsed": self.elapsed.copy(),
+            "episode": self.episode.copy(),
+            "fault_count": self.fault_count,
+        }
+
+    def _restore_clocks(self, state: dict[str, Any]) -> None:
+        count = state["fault_count"]
+        at_least(0, "fault_count", count)
+        for name, least in (("elapsed", 0), ("episode", -1)):
+            values = state_array(state, name, getattr(self, name))
+            if (values < least).any():
+                raise UserError(f"{name} of the saved state is below {least}")
+            getattr(self, name)[:] = values
+        self.fault_count = int(count)
+        self._begun = self.episode >= 0
+
+    def restart(self, seed: int | None = None, episode: int = 0) -> None:
+        """Let every environment's next episode be number `episode` of the seed."""
+        at_least(0, "episode", episode)
+        self.seed = check_seed(self.seed if seed is None else seed)
+        self.episode[:] = episode - 1
+        self._begun[:] = False
+
+    @property
+    def layout(self) -> dict[str, slice]:
+        """Columns of the parts, until policy cards hold `observation_spec`."""
+        return self.observation_spec.slices
 
     def check_layout(self, layout: Mapping[str, Sequence[int]]) -> None:
-        """Compare the observation with the one that a policy was trained on.
-
-        Args:
-            layout: part -> start and stop in the observation vector.
-
-        Raises:
-            UserError: the parts differ, in what they are, where, or how wide.
-        """
-        mine = {name: [part.start, part.stop] for name, part in self.layout.items()}
-        theirs = {name: list(part) for name, part in layout.items()}
-        if mine != theirs:
-            both = mine.keys() | theirs.keys()
-            parts = sorted(name for name in both if mine.get(name) != theirs.get(name))
+        """Compare the columns with a policy's, until cards hold `observation_spec`."""
+        own = {n: [part.start, part.stop] for n, part in self.layout.items()}
+        other = {name: list(part) for name, part in layout.items()}
+        if own != other:
+            both = own.keys() | other.keys()
+            parts = sorted(name for name in both if own.get(name) != other.get(name))
             raise UserError(
                 f"the policy was trained on another observation than {self.task.name} "
                 f"shows: {', '.join(parts)} differ"
             )
 
-    def begin(self, worlds: Array) -> None:
-        """Start the next episode in some worlds [n] int."""
-        self.episode[worlds] += 1
-        self.elapsed[worlds] = 0
-        if len(worlds):
+    def begin(self, env_ids: Array) -> None:
+        """Start the next episode in the given environments [n] int."""
+        self.episode[env_ids] += 1
+        self.elapsed[env_ids] = 0
+        self._begun[env_ids] = True
+        if len(env_ids):
             with blamed(self.task):
-                self._start_episodes(worlds)
-                self._remember(worlds)
+                with self._cache.restarting(env_ids):
+                    self._start_episodes(env_ids)
+                self._update_memory(env_ids)
 
     def step(self, action: Array) -> TimeStep:
-        """Advance all worlds by one control step of action [N, A] in [-1, 1]."""
-        broken = self._move(action)
+        """Advance all environments by one control step.
+
+        Args:
+            action: [N, A] in [-1, 1].
+
+        Raises:
+            UserError: the action has another shape or holds no real numbers, or an
+                environment has not begun an episode.
+        """
+        checked_actions(action, self.num_envs, self.action_dim)
+        action = np.asarray(action)
+        if not self._begun.all():
+            raise UserError("step() was called before reset(): begin an episode first")
+        with exits_blamed(self.task):
+            diverged = self._move(action)
         self.elapsed += 1
-        if broken.any():
-            ill = broken & np.isnan(action).any(axis=1)
-            self._note([("action", ill), ("physics", broken & ~ill)])
+        if diverged.any():
+            no_number = diverged & np.isnan(action).any(axis=1)
+            self._record([("action", no_number), ("physics", diverged & ~no_number)])
         with blamed(self.task):
-            time_step = self._time_step((self.elapsed >= self.horizon) | broken)
-            self._remember(np.flatnonzero(~broken))
+            time_step = self._time_step((self.elapsed >= self.horizon) | diverged)
+            self._update_memory(np.flatnonzero(~diverged))
         return time_step
 
     def observe(self) -> TimeStep:
-        """The worlds as they are now, as an episode begins: nothing has ended.
+        """The present state as after a reset: no episode has ended.
 
         Raises:
-            UserError: nothing that is seen of them is finite, in any world.
+            UserError: rewards and observations of all environments are not finite.
         """
         never = np.zeros(self.num_envs, bool)
         with blamed(self.task):
             time_step = self._time_step(never)
-        if self._lost.all():
-            raise UserError(f"{self.faults[-1]}, nor of any other")
+        if self._non_finite.all():
+            raise UserError(f"{self.faults[-1]}, and so are all other environments")
         return time_step._replace(terminated=never, truncated=never)
 
     def expert(self) -> Array:
-        """[N, A]: what the task's script would do now.
+        """[N, A]: the action of the task's expert in the present state.
 
         Raises:
-            UserError: the task has none.
+            UserError: the task has none, or its action has a wrong shape.
         """
         with blamed(self.task):
-            return self.task.expert(self.task.measure(self.read()))
+            action = self.task.expert(self._cache.get())
+        if np.shape(action) != (self.num_envs, self.action_dim):
+            raise UserError(
+                f"task {self.task.name!r}: expert(m) has shape {np.shape(action)}, not "
+                f"{(self.num_envs, self.action_dim)}"
+            )
+        return action
 
-    def _remember(self, worlds: Array) -> None:
-        if self.task.sensors.memory:
-            memory = self.task.update_memory(self.task.measure(self.read()))
+    def _update_memory(self, env_ids: Array) -> None:
+        if self.task.sensors.memory and len(env_ids):
+            memory = self.task.update_memory(self._cache.get())
             self._keep(
-                worlds, {name: values[worlds] for name, values in memory.items()}
+                env_ids, {name: values[env_ids] for name, values in memory.items()}
             )
 
     def _time_step(self, over: Array) -> TimeStep:
-        task = self.task
-        m = task.measure(self.read())
-        parts, terms = task.observe(m), task.reward_terms(m, self.reward_set)
-        terminated = task.failure(m)
+        outputs = evaluate(self.task, self._cache.get(), self.reward_set)
+        self._form.check(outputs)
+        terminated = outputs.failure
+        reward = weighted_sum(outputs.terms, self.reward_weights)
+        self._range.check(reward)
         time_step = TimeStep(
-            observation=_joined(parts),
-            reward=weighted_sum(terms, task.weights[self.reward_set]),
-            reward_terms=terms,
-            success=task.success(m),
-            milestones=task.milestones(m),
+            observation=self.observation_spec.join(outputs.parts),
+            reward=reward,
+            reward_terms=outputs.terms,
+            success=outputs.success,
+            milestones=outputs.milestones,
             terminated=terminated,
             truncated=over & ~terminated,
         )
-        fine = np.isfinite(time_step.reward) & np.isfinite(time_step.observation).all(
-            axis=1
-        )
-        self._lost = ~fine
-        if self._lost.any():
-            self._note(
-                not_finite("observation", parts, self.num_envs)
-                + not_finite("reward term", terms, self.num_envs)
-            )
-            time_step = self._without(time_step, fine)
-        self._seen = time_step.observation
+        finite = time_step.finite()
+        self._non_finite = ~finite
+        if not finite.all():
+            self._record_outputs(outputs)
+            time_step = time_step.cut_off(finite, self._last_observation)
+        self._last_observation = time_step.observation
         return time_step
 
-    def _without(self, time_step: TimeStep, fine: Array) -> TimeStep:
-        """The time_step with the lost worlds as last seen, their episodes cut off."""
-        kept = {
-            "milestones": time_step.milestones,
-            "reward_terms": time_step.reward_terms,
-        }
-        return TimeStep(
-            observation=np.where(fine[:, None], time_step.observation, self._seen),
-            reward=np.where(fine, time_step.reward, 0.0),
-            success=time_step.success & fine,
-            terminated=time_step.terminated & fine,
-            truncated=time_step.truncated | ~fine,
-            **{
-                kind: {
-                    name: np.where(fine, values, 0).astype(values.dtype)
-                    for name, values in named.items()
-                }
-                for kind, named in kept.items()
-            },
+    def _record_outputs(self, outputs: TaskOutputs) -> None:
+        self._record(
+            non_finite("observation", outputs.parts, self.num_envs)
+            + non_finite("reward term", outputs.terms, self.num_envs)
         )
 
-    def _note(self, found: Sequence[tuple[str, Array]]) -> None:
-        """Report what is wrong, and in which worlds [N] bool."""
-        wrong = np.any([where for _, where in found], axis=0)
-        for world in map(int, np.flatnonzero(wrong)):
-            what = ", ".join(name for name, where in found if where[world])
-            clock = int(self.episode[world]), int(self.elapsed[world])
-            self._report(Fault(self.task.name, what, world, *clock))
+    def _record(self, kinds: Sequence[tuple[str, Array]]) -> None:
+        """Record a fault for each environment [N] bool in which a kind is wrong."""
+        wrong = np.any([where for _, where in kinds], axis=0)
+        for env_id in map(int, np.flatnonzero(wrong)):
+            what = ", ".join(name for name, where in kinds if where[env_id])
+            clock = int(self.episode[env_id]), int(self.elapsed[env_id])
+            self._add_fault(Fault(self.task.name, what, env_id, *clock))
 
-    def _report(self, fault: Fault) -> None:
+    def _add_fault(self, fault: Fault) -> None:
         self.faults.append(fault)
         self.fault_count += 1
-        kept = self._kept(fault)
+        hint = self._dump(fault)
         if self.stop_at_faults:
-            raise UserError(f"{fault}{kept}")
+            raise UserError(f"{fault}{hint}")
 
-    def _kept(self, fault: Fault) -> str:
-        """How to see the fault again, if that was kept."""
+    def _dump(self, fault: Fault) -> str:
+        """Store the step of a fault if possible; a hint how to replay it."""
         return ""
-
-
-def _layout(parts: Mapping[str, Array]) -> dict[str, slice]:
-    layout, at = {}, 0
-    for name, part in parts.items():
-        layout[name] = slice(at, at + part.shape[1])
-        at += part.shape[1]
-    return layout
-
-
-def _joined(parts: Mapping[str, Array]) -> Array:
-    with np.errstate(over="ignore"):
-        return np.concatenate(list(parts.values()), axis=1, dtype=np.float32)

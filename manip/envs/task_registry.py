@@ -1,17 +1,12 @@
-"""Tasks by name: entry points, `package.module:Task`, or `library/name`."""
+"""Tasks by name: entry points, `package.module:Class`, or `library/name`."""
 
-import importlib
-import sys
-from collections.abc import Callable
-from functools import partial
-from importlib.metadata import entry_points
-from importlib.util import find_spec
 from inspect import get_annotations
 from pathlib import Path
 
-from manip.envs.backends.external_batch import load_external
+from manip.envs.external_task import load_external
 from manip.envs.task import Task
-from manip.errors import UserError, one_line, unknown
+from manip.errors import UserError, one_line, shown
+from manip.plugins import check_origin, load_class, plugin_names
 
 GROUP = "manip.tasks"
 """Entry-point group under which a package offers its tasks."""
@@ -19,80 +14,59 @@ GROUP = "manip.tasks"
 
 def task_names() -> list[str]:
     """Names of all tasks that installed packages offer."""
-    return sorted({point.name for point in entry_points(group=GROUP)})
+    return plugin_names(GROUP)
 
 
 def load_task(name: str) -> Task:
-    """The task called `name`, the class at `package.module:Class`, or a library's.
+    """The task of a name.
 
-    Modules of the working directory are found as well as installed ones.
+    Args:
+        name: of an entry point, `package.module:Class`, or `library/name`. Modules of
+            the working directory are found as well as installed ones.
 
     Raises:
         UserError: no such task; the message lists those that exist.
     """
-    found = {point.name: point for point in entry_points(group=GROUP)}
-    if name in found:
-        return _checked(name, _import(name, found[name].load))
-    if ":" in name:
-        return _checked(name, _import(name, partial(_find, name)))
-    if "/" in name:
+    if ":" not in name and name.endswith(".py"):
+        raise UserError(
+            f"task {shown(name)} is a file: name its class as module:Class, from the "
+            "folder that holds the module"
+        )
+    if ":" not in name and "/" in name:
         return load_external(name)
-    raise unknown("task", name, found)
+    return _instance(name, load_class(name, GROUP, "task"))
 
 
-def check_origin(name: str, folder: Path) -> None:
-    """Refuse to import a task that a file names from the run folder around that file.
+def load_task_named_by(folder: Path, name: str) -> Task:
+    """The task that a file names: a policy card, a run's configuration, or a dump.
+
+    Code that came along with the file is never imported; in a working directory that
+    came along with it, only installed tasks are found.
+
+    Args:
+        folder: the run folder, or the folder that holds the file.
+        name: as in `load_task`.
 
     Raises:
-        UserError: what `module:Class` names is code that came along with the file.
+        UserError: no such task, or its code lies in the folder or in its run.
     """
-    whole = folder.resolve()
-    run = whole.parent if (whole.parent / "config.yaml").is_file() else whole
-    for place in _places(name.partition(":")[0].split(".")[0]) if ":" in name else ():
-        if Path(place).resolve().is_relative_to(run):
-            raise UserError(
-                f"task {name!r} would run {place}, which came along with {folder}: if "
-                "you trust it, move it out of there"
-            )
+    check_origin(name, GROUP, "task", folder)
+    return load_task(name)
 
 
-def _places(module: str) -> list[str]:
-    """Where a module would be imported from, without importing it."""
-    _look_here()
-    try:
-        spec = find_spec(module)
-    except ValueError:
-        return []
-    inside = spec and spec.submodule_search_locations
-    return [place for place in (spec and spec.origin, *(inside or ())) if place]
-
-
-def _look_here() -> None:
-    if str(Path.cwd()) not in sys.path:
-        sys.path.append(str(Path.cwd()))  # as `python -m` does
-
-
-def _find(path: str) -> object:
-    module, _, attribute = path.partition(":")
-    _look_here()
-    return getattr(importlib.import_module(module), attribute)
-
-
-def _import(name: str, load: Callable[[], object]) -> object:
-    try:
-        return load()
-    except Exception as error:  # a module may raise anything
-        told = f"{type(error).__name__}: {one_line(error)}"
-        raise UserError(f"cannot import task {name!r}: {told}") from error
-
-
-def _checked(name: str, cls: object) -> Task:
-    if not (isinstance(cls, type) and issubclass(cls, Task)):
+def _instance(name: str, cls: type) -> Task:
+    if not issubclass(cls, Task):
         raise UserError(
             f"task {name!r} must be a subclass of manip.envs.Task, not {cls!r}"
         )
     missing = sorted(cls.__abstractmethods__)
-    missing += [said for said in get_annotations(Task) if not hasattr(cls, said)]
+    missing += [each for each in get_annotations(Task) if not hasattr(cls, each)]
     if missing:
         raise UserError(f"task {name!r} does not define {', '.join(missing)}")
-    return cls()
+    try:
+        return cls()
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a constructor may raise anything, SystemExit too
+        reason = f"{type(error).__name__}: {one_line(error)}"
+        raise UserError(f"cannot build task {name!r}: {reason}") from error

@@ -1,1 +1,1 @@
-"""Evaluation: whole episodes, statistics, reports; a policy is a callable."""
+"""Evaluation: run whole episodes of a policy, and report rates with uncertainty."""

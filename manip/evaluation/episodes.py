@@ -1,6 +1,6 @@
-"""Whole episodes, followed step by step in a batch of worlds."""
+"""Run whole episodes, and record what happened in each."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,23 +9,34 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-HELD_STEPS = 10
-"""An episode's success is held if it is true in its last ten control steps."""
+from manip.evaluation.before_merge import parts_of
 
-Policy = Callable[[Tensor], Tensor]
-"""Observation [N, D] -> action [N, A]."""
+HELD_STEPS = 10
+"""Success is held if it is true in the last ten control steps of an episode."""
+
+Policy = Callable[[Mapping[str, Tensor]], Tensor]
+"""Observation parts, name -> [N, ...], to action [N, A]."""
+
+Callback = Callable[[TensorDictBase], None]
+"""Gets the state [N] of the environments."""
 
 
 @dataclass(frozen=True)
 class Episode:
-    """What became of one episode.
+    """Outcome of one episode.
 
-    success_once, success_at_end, held: whether success was true ever, at the last step, and in the
-    last ten steps. milestones: whether each milestone was ever reached. first_success:
-    the step of the first success, counted from 1, if any.
+    Attributes:
+        env_id: index of the environment that ran it.
+        steps: control steps.
+        total_reward: undiscounted sum of rewards.
+        success_once: success was true in at least one step.
+        success_at_end: success was true in the last step.
+        success_held: success was true in the last `HELD_STEPS` steps.
+        first_success: step of the first success, counted from 1; None without any.
+        milestones: for each milestone, whether it was true in at least one step.
     """
 
-    world: int
+    env_id: int
     steps: int
     total_reward: float
     success_once: bool
@@ -36,17 +47,17 @@ class Episode:
 
 
 class EpisodeTracker:
-    """Follows N worlds and reports the episodes that end."""
+    """Accumulate the steps of N environments, and report the episodes that end."""
 
     def __init__(self, num_envs: int) -> None:
         self._steps = torch.zeros(num_envs, dtype=torch.int64)
         self._reward = torch.zeros(num_envs)
         self._streak = torch.zeros(num_envs, dtype=torch.int64)
         self._first = torch.zeros(num_envs, dtype=torch.int64)
-        self._stages: Tensor | None = None
+        self._milestones = torch.zeros(num_envs, 0, dtype=torch.bool)
 
     def update(self, after: TensorDictBase) -> list[Episode]:
-        """Take in the `next` entry [N] of a step; the episodes that ended with it."""
+        """Add the `next` entry [N] of a step; return the episodes that it ended."""
         success, done = after["success"].squeeze(-1), after["done"].squeeze(-1)
         self._steps += 1
         self._reward += after["reward"].squeeze(-1)
@@ -54,80 +65,90 @@ class EpisodeTracker:
         self._first = torch.where(
             success & (self._first == 0), self._steps, self._first
         )
-        milestones = after["milestones"]
-        self._stages = milestones if self._stages is None else self._stages | milestones
+        self._add_milestones(after["milestones"])
         ended = torch.nonzero(done).squeeze(-1).tolist()
-        episodes = [self._episode(world) for world in ended]
-        for world in ended:
-            self._forget(world)
+        episodes = [self._episode(env_id) for env_id in ended]
+        for entries in (*self._counters(), self._milestones):
+            entries[ended] = 0
         return episodes
 
     def save_state(self) -> dict[str, Any]:
-        """What is known of the episodes under way."""
+        """Copy what is known of the episodes that are running."""
         counters = [counter.clone() for counter in self._counters()]
-        return {"counters": counters, "milestones": self._stages}
+        stepped = self._milestones.shape[1] > 0
+        milestones = self._milestones.clone() if stepped else None
+        return {"counters": counters, "milestones": milestones}
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """Put back what `save_state` gave."""
+        """Restore what `save_state` returned.
+
+        Raises:
+            ValueError: the state is of another number of environments.
+        """
         for counter, saved in zip(self._counters(), state["counters"], strict=True):
+            if counter.shape != saved.shape:
+                raise ValueError(f"{len(saved)} environments are no {len(counter)}")
             counter.copy_(saved)
-        self._stages = state["milestones"]
+        self._milestones = torch.zeros(len(self._steps), 0, dtype=torch.bool)
+        if state["milestones"] is not None:  # None: saved before the first step
+            self._add_milestones(state["milestones"])
+
+    def _add_milestones(self, milestones: Tensor) -> None:
+        if len(milestones) != len(self._steps):
+            raise ValueError(f"milestones of {len(milestones)} environments")
+        if self._milestones.shape != milestones.shape:
+            self._milestones = torch.zeros_like(milestones)
+        self._milestones = self._milestones | milestones
 
     def _counters(self) -> tuple[Tensor, ...]:
         return self._steps, self._reward, self._streak, self._first
 
-    def _episode(self, world: int) -> Episode:
-        assert self._stages is not None
-        first, streak = int(self._first[world]), int(self._streak[world])
+    def _episode(self, env_id: int) -> Episode:
+        first, streak = int(self._first[env_id]), int(self._streak[env_id])
         return Episode(
-            world=world,
-            steps=int(self._steps[world]),
-            total_reward=float(self._reward[world]),
+            env_id=env_id,
+            steps=int(self._steps[env_id]),
+            total_reward=float(self._reward[env_id]),
             success_once=first > 0,
             success_at_end=streak > 0,
             success_held=streak >= HELD_STEPS,
             first_success=first or None,
-            milestones=tuple(self._stages[world].tolist()),
+            milestones=tuple(self._milestones[env_id].tolist()),
         )
-
-    def _forget(self, world: int) -> None:
-        for counter in self._counters():
-            counter[world] = 0
-        if self._stages is not None:
-            self._stages = self._stages.clone()
-            self._stages[world] = False
 
 
 @torch.no_grad()
 def run_episodes(
-    env: EnvBase,
-    policy: Policy,
-    episodes: int,
-    watch: Callable[[TensorDictBase], None] | None = None,
+    env: EnvBase, policy: Policy, episodes: int, callback: Callback | None = None
 ) -> list[Episode]:
-    """Run an exact number of episodes, split evenly over the worlds in advance.
+    """Run an exact number of episodes, the same number in each environment.
 
-    A static split does not favour short episodes, as taking the first to finish
-    would.
+    To take the first episodes that finish instead would favour short ones.
 
     Args:
-        env: with N worlds; `episodes` must be a multiple of N.
-        policy: the action of each observation.
-        watch: called with the worlds' state before every step, and at the end.
+        env: N environments, with `env.parts(state)` (see TaskEnv).
+        policy: returns the actions for the observation parts.
+        episodes: a multiple of N.
+        callback: called with the state before every step.
+
+    Raises:
+        ValueError: `episodes` is no multiple of N.
     """
-    worlds = env.batch_size[0]
-    if episodes % worlds:
-        raise ValueError(f"{episodes} episodes do not split over {worlds} worlds")
-    owed = torch.full((worlds,), episodes // worlds)
-    tracker, finished = EpisodeTracker(worlds), []
+    num_envs = env.batch_size[0]
+    if episodes % num_envs:
+        raise ValueError(
+            f"{episodes} episodes cannot be shared evenly by {num_envs} environments"
+        )
+    missing = torch.full((num_envs,), episodes // num_envs)
+    tracker, finished = EpisodeTracker(num_envs), []
     state = env.reset()
-    while owed.any():
-        if watch:
-            watch(state)
-        state["action"] = policy(state["observation"])
+    while missing.any():
+        if callback:
+            callback(state)
+        state["action"] = policy(parts_of(env, state))
         step, state = env.step_and_maybe_reset(state)
         for episode in tracker.update(step["next"]):
-            if owed[episode.world]:
-                owed[episode.world] -= 1
+            if missing[episode.env_id]:
+                missing[episode.env_id] -= 1
                 finished.append(episode)
     return finished

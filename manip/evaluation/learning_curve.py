@@ -1,4 +1,4 @@
-"""A run's learning curve as a picture."""
+"""Plot the learning curve of a run."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,30 +12,31 @@ from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 
 CURVES = {
-    "eval/success_once": ("ever", "-"),
-    "eval/success_held": ("success_held", "-"),
-    "eval/success_at_end": ("at the end", ":"),
+    "success_once": "-",
+    "success_held": "-",
+    "success_at_end": ":",
 }
-"""Column of metrics.csv -> its name and line style in the picture."""
+"""Measure of success -> line style; the columns of metrics.csv are eval/NAME."""
 
 
 def plot_learning_curve(
     rows: Sequence[Mapping[str, str]], title: str, path: Path
 ) -> None:
-    """Draw success and return against control steps, with wall time on top.
+    """Draw success and return against control steps, with wall time along the top.
 
     Args:
-        rows: of metrics.csv; those without an evaluation are passed over.
-        title: over the picture.
-        path: a .png file.
+        rows: rows of metrics.csv; those without an evaluation are left out.
+        title: title of the figure.
+        path: .png file to write.
     """
     rows = [row for row in rows if row.get("eval/success_held")]
     steps = _column(rows, "env_steps") / 1000
     figure, (upper, lower) = plt.subplots(
         2, 1, figsize=(7, 6), sharex=True, height_ratios=(3, 2), layout="constrained"
     )
-    for name, (label, style) in CURVES.items():
-        upper.plot(steps, 100 * _column(rows, name), style, marker="o", label=label)
+    for measure, style in CURVES.items():
+        success = 100 * _column(rows, f"eval/{measure}")
+        upper.plot(steps, success, style, marker="o", label=measure)
     upper.set(ylabel="success [%]", ylim=(-3, 103))
     upper.legend(title="evaluation", loc="lower right")
     lower.plot(steps, _column(rows, "eval/return"), color="black", marker="o")
@@ -50,7 +51,7 @@ def plot_learning_curve(
 
 
 def _mark_time(axes: Axes, steps: np.ndarray, seconds: np.ndarray) -> None:
-    """Wall time of training as a second axis along the top, going on beyond its end."""
+    """Add a second axis for wall time, extrapolated beyond the last evaluation."""
     steps, seconds = (np.r_[0, known, 2 * known[-1]] for known in (steps, seconds))
 
     def to_seconds(x: ArrayLike) -> np.ndarray:

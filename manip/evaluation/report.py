@@ -1,4 +1,4 @@
-"""What an evaluation says: one record, as JSON and as a table."""
+"""The result of an evaluation: one record, as JSON and as a table."""
 
 import json
 from collections.abc import Sequence
@@ -7,20 +7,31 @@ from typing import Any
 
 import numpy as np
 from rich.table import Table
+from rich.text import Text
 
-from manip.envs.backends.external_batch import library_of
+from manip.envs.external_task import library_of
 from manip.evaluation.episodes import Episode
 from manip.evaluation.statistics import Rate, success_rate
+from manip.io.printable import printable
+
+SUCCESS = ("success_once", "success_at_end", "success_held")
+"""Measures of success: in one step or more, in the last, in the last ten."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The result of an evaluation; `to_json` is what `eval.json` holds.
+    """The result of an evaluation of one policy; `to_json` is the text of eval.json.
 
-    success: {once, success_at_end, held} -> rate with its Wilson 95 % interval.
-    return_mean: mean sum of shaped rewards an episode. milestones: milestone -> share of
-    episodes that reached it. first_success_median: control steps, if any succeeded.
-    seconds: wall time of the evaluation.
+    Attributes:
+        env: "stock" or "native".
+        seed, purpose: the random streams of the episodes.
+        success: success_once, success_at_end, success_held -> rate with its Wilson
+            95 % interval, which covers episodes, not training seeds.
+        return_mean: mean over episodes of the sum of rewards.
+        milestones: milestone -> share of episodes that reached it.
+        first_success_median: control steps until the first success, over the episodes
+            that have one; None if none has.
+        seconds: wall time of the evaluation.
     """
 
     task: str
@@ -30,6 +41,7 @@ class Evaluation:
     fidelity: str
     episodes: int
     seed: int
+    purpose: str
     env_steps_trained: int
     success: dict[str, Rate]
     return_mean: float
@@ -44,38 +56,44 @@ class Evaluation:
 
 
 def summarise(episodes: Sequence[Episode], milestones: Sequence[str]) -> dict[str, Any]:
-    """The statistics of an `Evaluation`, under the names of its fields."""
-    reached = np.array([episode.milestones for episode in episodes]).mean(0)
+    """Statistics of episodes, under the names of the fields of `Evaluation`."""
+    shares = np.array([episode.milestones for episode in episodes]).mean(0)
     first = [e.first_success for e in episodes if e.first_success is not None]
     return {
         "success": {
-            kind: success_rate([getattr(episode, kind) for episode in episodes])
-            for kind in ("success_once", "success_at_end", "success_held")
+            measure: success_rate([getattr(episode, measure) for episode in episodes])
+            for measure in SUCCESS
         },
         "return_mean": float(np.mean([e.total_reward for e in episodes])),
-        "milestones": dict(zip(milestones, map(float, reached), strict=True)),
+        "milestones": dict(zip(milestones, map(float, shares), strict=True)),
         "first_success_median": float(np.median(first)) if first else None,
     }
 
 
 def table(result: Evaluation) -> Table:
-    """The result for people to read."""
-    where = f"{result.env} {library_of(result.task)}"
-    title = f"{result.task} · {result.robot} · {result.algo} · {where}"
-    shown = Table(title=title, title_style="bold")
-    shown.add_column("measure")
-    shown.add_column("value", justify="right")
-    shown.add_column("95 % interval", justify="right")
-    for kind, rate in result.success.items():
-        interval = f"{rate.low:.1%} - {rate.high:.1%}"
-        shown.add_row(f"success {kind.replace('_', ' ')}", f"{rate.rate:.1%}", interval)
-    for stage, share in result.milestones.items():
-        shown.add_row(f"reached {stage}", f"{share:.1%}", "")
-    shown.add_row("mean return", f"{result.return_mean:.1f}", "")
+    """The result as a table; text of the policy's card is shown as it is."""
+    library = f"{result.env} {library_of(result.task)}"
+    parts = (result.task, result.robot, result.algo, library)
+    title = Text(printable(" · ".join(parts)), style="bold")
+    columns = Table(title=title)
+    columns.add_column("measure", overflow="fold")
+    columns.add_column("value", justify="right", overflow="fold")
+    columns.add_column("95 % interval", justify="right", overflow="fold")
+    for row in _rows(result):
+        columns.add_row(*(Text(printable(cell)) for cell in row))
+    return columns
+
+
+def _rows(result: Evaluation) -> list[tuple[str, str, str]]:
+    rows = [
+        (measure, f"{rate.rate:.1%}", f"{rate.low:.1%} - {rate.high:.1%}")
+        for measure, rate in result.success.items()
+    ]
+    rows += [(f"reached {m}", f"{s:.1%}", "") for m, s in result.milestones.items()]
+    rows.append(("mean return", f"{result.return_mean:.1f}", ""))
     if result.first_success_median is not None:
-        shown.add_row(
-            "median first success", f"step {result.first_success_median:g}", ""
-        )
-    shown.add_row("episodes, first seed", f"{result.episodes}, {result.seed}", "")
-    shown.add_row("wall time", f"{result.seconds:.1f} s", "")
-    return shown
+        step = f"step {result.first_success_median:g}"
+        rows.append(("median first success", step, ""))
+    rows.append(("episodes, seed", f"{result.episodes}, {result.seed}", ""))
+    rows.append(("wall time", f"{result.seconds:.1f} s", ""))
+    return rows

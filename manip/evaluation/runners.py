@@ -1,109 +1,144 @@
-"""Evaluating a policy on its task, natively or where the task comes from."""
+"""Evaluate a policy on a task, on the batch engine or in stock robosuite."""
 
 import multiprocessing
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import signal
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from typing import Literal
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from typing import Any
 
 import torch
 
 from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
-from manip.envs.make_batch import make_batch
+from manip.envs.backends.worker_pool import end_with_parent
+from manip.envs.episode_streams import EVALUATION, Purpose
+from manip.envs.make_batch import Backend, make_batch
+from manip.envs.task import Task
+from manip.evaluation.before_merge import check_observation
 from manip.evaluation.episodes import Episode, Policy, run_episodes
 from manip.robot_config import RobotConfig
 from manip.sim.scene import Fidelity
-
-Where = Literal["stock", "native"]
-Layout = Mapping[str, Sequence[int]]
-"""Observation part -> start and stop in the observation that a policy needs."""
 
 Progress = Callable[[int], None]
 """Called with the number of episodes that have just ended."""
 
 
-def native_episodes(
-    task: str,
-    policy: Policy,
-    episodes: int,
-    seed: int,
-    robot: RobotConfig,
-    fidelity: Fidelity,
-    layout: Layout | None = None,
+@dataclass(frozen=True)
+class EpisodeSettings:
+    """The episodes of an evaluation; they depend on nothing else.
+
+    Attributes:
+        task: the task, or its name.
+        robot: arm, controller and control frequency.
+        observation: the parts that the policy needs, from its card; they are compared
+            with the environment's unless None.
+        episodes: number of episodes.
+        seed: of their random streams; no two seeds share an episode.
+        purpose: episodes of different purposes differ, so that a policy is never
+            evaluated on the starts that it was trained or chosen on.
+        backend: "native", the batch engine; "stock", robosuite itself, or the library
+            that the task comes from.
+        fidelity: physics of the native backend.
+    """
+
+    task: str | Task
+    robot: RobotConfig
+    observation: Any = None
+    episodes: int = 100
+    seed: int = 0
+    purpose: Purpose = EVALUATION
+    backend: Backend = "stock"
+    fidelity: Fidelity = "exact"
+
+
+def evaluate_policy(
+    policy: Policy, settings: EpisodeSettings, progress: Progress = lambda _: None
 ) -> list[Episode]:
-    """Run episodes on the batch engine, each in a world of its own.
+    """Run the episodes: natively in one batch, else in a process for each usable CPU.
+
+    Stock episodes begin with robosuite's hard reset (its default), so that sizes which
+    it samples when it builds a model vary, too.
 
     Raises:
-        UserError: the layout is given, and is not that of the task's observation.
+        UserError: the environment lacks a part of the observation.
+        ChildProcessError: a process has died.
     """
-    batch = make_batch(task, episodes, robot=robot, fidelity=fidelity, seed=seed)
-    env = TaskEnv(batch)
-    if layout is not None:
-        env.batch.check_layout(layout)
-    return run_episodes(env, policy, episodes)
+    if settings.backend == "native":
+        env = make_env(settings, settings.episodes)
+        episodes = run_episodes(env, policy, settings.episodes)
+        progress(len(episodes))
+        return episodes
+    return list(_counted(_stock_episodes(policy, settings), progress))
 
 
-def stock_episodes(
-    task: str,
-    policy: Policy,
-    episodes: int,
-    seed: int,
-    robot: RobotConfig,
-    progress: Progress = lambda _: None,
-    layout: Layout | None = None,
-) -> list[Episode]:
-    """Run episodes in `robosuite.make(...)`, or in the library that the task is of.
-
-    There is a process for each usable CPU.
-    Episode e starts from seed + e, with a hard reset as robosuite's defaults have it,
-    so that sizes which robosuite samples when it builds a model vary, too.
+def make_env(settings: EpisodeSettings, num_envs: int = 1) -> TaskEnv:
+    """Environments whose next episodes are the first of the settings.
 
     Raises:
-        UserError: the layout is given, and is not that of the task's observation.
+        UserError: the environment lacks a part of the observation.
     """
-    seeds = range(seed, seed + episodes)
-    workers = min(usable_cpus(), episodes)
-    if workers == 1:
-        _open_worker(policy, task, robot, layout)
-        return list(_counted(map(_episode, seeds), progress))
-    pool = ProcessPoolExecutor(
-        workers,
-        multiprocessing.get_context("spawn"),
-        _open_worker,
-        (policy, task, robot, layout),
+    options: dict[str, Any] = {"hard_reset": True}
+    if settings.backend == "native":
+        options = {"fidelity": settings.fidelity}
+    batch = make_batch(
+        settings.task,
+        num_envs,
+        backend=settings.backend,
+        robot=settings.robot,
+        seed=settings.seed,
+        purpose=settings.purpose,
+        **options,
     )
-    with pool:
-        return list(_counted(pool.map(_episode, seeds), progress))
+    if settings.observation is not None:
+        check_observation(settings.observation, batch)
+    return TaskEnv(batch)
 
 
-def timed(run: Callable[[], Sequence[Episode]]) -> tuple[Sequence[Episode], float]:
-    """The episodes of a run, and the seconds it took."""
-    began = time.monotonic()
-    return run(), time.monotonic() - began
+def _stock_episodes(policy: Policy, settings: EpisodeSettings) -> Iterator[Episode]:
+    processes = min(usable_cpus(), settings.episodes)
+    if processes == 1:
+        env = make_env(settings)
+        for index in range(settings.episodes):
+            yield _stock_episode(env, policy, index)
+        return
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(processes, context, _start_worker, (policy, settings))
+    try:
+        yield from pool.map(_episode_of_worker, range(settings.episodes))
+    except BrokenProcessPool as error:
+        raise ChildProcessError(
+            "a process that ran episodes has died: is there too little memory?"
+        ) from error
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
-def _counted(episodes: Iterator[Episode], progress: Progress) -> Iterator[Episode]:
+def _stock_episode(env: TaskEnv, policy: Policy, index: int) -> Episode:
+    """Run episode `index` of the settings, whatever ran before."""
+    env.batch.restart(episode=index)
+    return run_episodes(env, policy, 1)[0]
+
+
+_worker: dict[str, Any] = {}
+
+
+def _start_worker(policy: Policy, settings: EpisodeSettings) -> None:
+    """Prepare a process; the environment is built later, where errors are returned."""
+    end_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent
+    torch.set_num_threads(1)
+    _worker.update(policy=policy, settings=settings)
+
+
+def _episode_of_worker(index: int) -> Episode:
+    if "env" not in _worker:
+        _worker["env"] = make_env(_worker["settings"])
+    return _stock_episode(_worker["env"], _worker["policy"], index)
+
+
+def _counted(episodes: Iterable[Episode], progress: Progress) -> Iterator[Episode]:
     for episode in episodes:
         progress(1)
         yield episode
-
-
-_worker: dict[str, tuple[TaskEnv, Policy, Layout | None]] = {}
-
-
-def _open_worker(
-    policy: Policy, task: str, robot: RobotConfig, layout: Layout | None
-) -> None:
-    torch.set_num_threads(1)
-    batch = make_batch(task, backend="stock", robot=robot, hard_reset=True)
-    env = TaskEnv(batch)
-    _worker["now"] = (env, policy, layout)
-
-
-def _episode(seed: int) -> Episode:
-    env, policy, layout = _worker["now"]
-    if layout is not None:
-        env.batch.check_layout(layout)
-    env.set_seed(seed)
-    return run_episodes(env, policy, 1)[0]

@@ -1,17 +1,21 @@
-"""The results that are shipped: what each recipe reaches in stock robosuite."""
+"""The shipped results: success of each recipe in stock robosuite, by training seed."""
 
-from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from importlib.resources import files
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import yaml
 
-from manip.errors import UserError
-from manip.evaluation.statistics import Rate, success_rate
+from manip.errors import UserError, one_line
+from manip.evaluation.statistics import (
+    Rate,
+    SeedCount,
+    rate_over_seeds,
+    wilson_rate,
+)
 from manip.io.atomic_files import write_text
+from manip.io.yaml_files import read_yaml
 
 RESULTS = Path(str(files("manip.assets"))) / "results.yaml"
 
@@ -21,13 +25,16 @@ Key = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class Run:
-    """What one training seed came to.
+    """Result of one training seed.
 
     Attributes:
-        success_held: episodes with held success, of `episodes` in stock robosuite.
+        success_held: evaluation episodes with success_held, in stock robosuite.
+        episodes: evaluation episodes.
         env_steps: control steps of training.
-        minutes: wall time of training and its evaluations on the way; None where it
-            was not taken.
+        minutes: wall time of training and its evaluations; None if not measured.
+        choice_rate: rate of success_held in the native episodes by which the seed of
+            the shipped policy is chosen, which are not the evaluation episodes; None
+            if not measured.
     """
 
     seed: int
@@ -35,16 +42,27 @@ class Run:
     episodes: int
     env_steps: int
     minutes: float | None
+    choice_rate: float | None = None
+
+    @property
+    def count(self) -> SeedCount:
+        """Successful episodes and episodes."""
+        return SeedCount(self.success_held, self.episodes)
 
     @property
     def rate(self) -> Rate:
-        """Rate of held success, with its Wilson 95 % interval."""
-        return success_rate([e < self.success_held for e in range(self.episodes)])
+        """Rate of success_held; the Wilson interval covers episodes only."""
+        return wilson_rate(*self.count)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values; without `choice_rate` if it was not measured."""
+        values = asdict(self)
+        return {k: v for k, v in values.items() if (k, v) != ("choice_rate", None)}
 
 
 @dataclass(frozen=True)
 class Result:
-    """What a recipe came to on one machine, seed by seed."""
+    """Results of a recipe on one machine, seed by seed."""
 
     task: str
     robot: str
@@ -55,12 +73,25 @@ class Result:
 
     @property
     def key(self) -> Key:
-        """What the recipe is for."""
+        """Task, robot, algorithm."""
         return self.task, self.robot, self.algo
 
-    def plain(self) -> dict[str, Any]:
-        """Fit for YAML and JSON."""
-        return asdict(self) | {"runs": [asdict(run) for run in self.runs]}
+    @property
+    def counts(self) -> list[SeedCount]:
+        """Successful episodes and episodes of each seed."""
+        return [run.count for run in self.runs]
+
+    @property
+    def rate(self) -> Rate:
+        """Mean rate of success_held; the interval covers seeds and episodes.
+
+        With one seed it covers episodes only.
+        """
+        return rate_over_seeds(self.counts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for YAML and JSON."""
+        return asdict(self) | {"runs": [run.to_dict() for run in self.runs]}
 
 
 @dataclass(frozen=True)
@@ -68,8 +99,8 @@ class Results:
     """All results, and what others published.
 
     Attributes:
-        robosuite_benchmark: task -> robot -> what the SAC baseline published with
-            robosuite reaches.
+        robosuite_benchmark: task -> robot -> result of the SAC baseline that was
+            published with robosuite.
     """
 
     robosuite_benchmark: dict[str, dict[str, str]]
@@ -81,19 +112,22 @@ class Results:
 
     def run(self, key: Key, seed: int) -> Run | None:
         """The run of a recipe with a seed, if there is one."""
-        found = self.of(key)
-        runs = found.runs if found else ()
+        result = self.of(key)
+        runs = result.runs if result else ()
         return next((run for run in runs if run.seed == seed), None)
 
     def having(self, result: Result) -> "Results":
-        """These, with one result added or replaced."""
+        """A copy with one result added or replaced."""
         others = [old for old in self.results if old.key != result.key]
         ordered = sorted([*others, result], key=lambda r: r.key)
         return Results(self.robosuite_benchmark, tuple(ordered))
 
     def save(self, path: Path = RESULTS) -> None:
-        """Write them, whole or not at all."""
-        plain = asdict(self) | {"results": [result.plain() for result in self.results]}
+        """Write the file, whole or not at all."""
+        plain = {
+            "robosuite_benchmark": self.robosuite_benchmark,
+            "results": [result.to_dict() for result in self.results],
+        }
         write_text(path, yaml.safe_dump(plain, sort_keys=False, width=120))
 
 
@@ -104,52 +138,12 @@ def load_results(path: Path = RESULTS) -> Results:
         UserError: the file is damaged.
     """
     try:
-        found = yaml.safe_load(path.read_text())
-        results = tuple(map(_result, found["results"]))
-        return Results(found["robosuite_benchmark"], results)
-    except (yaml.YAMLError, KeyError, TypeError) as error:
-        reason = " ".join(str(error).split())
-        raise UserError(f"{path} is damaged: {reason}") from error
+        plain = read_yaml(path)
+        results = tuple(map(_result, plain["results"]))
+        return Results(plain["robosuite_benchmark"], results)
+    except (KeyError, TypeError) as error:
+        raise UserError(f"{path} is damaged: {one_line(error)}") from error
 
 
 def _result(values: dict[str, Any]) -> Result:
     return Result(**values | {"runs": tuple(Run(**run) for run in values["runs"])})
-
-
-HEADER = (
-    *("task", "arm", "algo", "demos", "held [%]", "env steps", "minutes"),
-    *("machine", "robosuite-benchmark"),
-)
-
-
-def rows(found: Results, results: Iterable[Result]) -> list[tuple[str, ...]]:
-    """A row of text for each result, under `HEADER`; medians of steps and minutes."""
-    return [
-        (
-            *(result.task, result.robot, result.algo.upper()),
-            "yes" if result.demonstrations else "no",
-            ", ".join(percent(run.rate) for run in result.runs),
-            f"{median(run.env_steps for run in result.runs):,.0f}",
-            _median_minutes(result.runs),
-            result.machine,
-            found.robosuite_benchmark.get(result.task, {}).get(result.robot, ""),
-        )
-        for result in results
-    ]
-
-
-def _median_minutes(runs: Iterable[Run]) -> str:
-    taken = [run.minutes for run in runs if run.minutes is not None]
-    return f"{median(taken):.1f}" if taken else ""
-
-
-def percent(rate: Rate) -> str:
-    """A rate and its interval: 97 (92-99)."""
-    return f"{100 * rate.rate:.0f} ({100 * rate.low:.0f}-{100 * rate.high:.0f})"
-
-
-def markdown(found: Results) -> str:
-    """The table of all results in Markdown."""
-    lines: list[Sequence[str]] = [HEADER, ("---",) * len(HEADER)]
-    lines += rows(found, found.results)
-    return "".join("| " + " | ".join(line) + " |\n" for line in lines)

@@ -1,7 +1,7 @@
-"""Trees as files that never run code when loaded.
+"""Trees of values as files that never run code when loaded.
 
 A tree (nested dicts and lists of tensors, arrays, numbers and strings) becomes one
-sealed safetensors file: tensors in the body, everything else as JSON in the header.
+safetensors file with a checksum: tensors in the body, all else as JSON in the header.
 """
 
 import json
@@ -13,22 +13,26 @@ import torch
 from safetensors import SafetensorError, safe_open
 
 from manip.errors import DamagedError, UserError, one_line
-from manip.io.checksums import check_seal, save_sealed
+from manip.io.checksums import save_with_checksum, verify_checksum
 
 _TENSOR, _ARRAY, _INT_KEYS = "$tensor", "$array", "$int_keys"
 
-_REFUSALS = (
+_READ_ERRORS = (
     *(SafetensorError, RecursionError),
     *(AttributeError, KeyError, TypeError, ValueError),
 )
-"""What reading a file raises that is not what it should be."""
+"""What reading raises where a file is not what `save_tree` wrote."""
 
 
 def save_tree(path: Path, tree: Any) -> None:
-    """Write a tree to one safetensors file, whole or not at all."""
+    """Write a tree to one safetensors file, whole or not at all.
+
+    Raises:
+        TypeError: a dict has keys of two types, or a leaf cannot be stored.
+    """
     tensors: dict[str, torch.Tensor] = {}
     header = json.dumps(_flatten(tree, "", tensors))
-    save_sealed(path, tensors, {"tree": header})
+    save_with_checksum(path, tensors, {"tree": header})
 
 
 def load_tree(path: Path) -> Any:
@@ -39,20 +43,20 @@ def load_tree(path: Path) -> Any:
         DamagedError: it was changed since it was written, or is of another kind.
     """
     if not path.is_file():
-        raise UserError(f"there is no {path}")
+        raise UserError(f"there is no file {path}")
     try:
-        check_seal(path)
+        verify_checksum(path)
         with safe_open(path, "pt") as file:
             header = json.loads((file.metadata() or {})["tree"])
-            return _unflatten(header, file)
-    except _REFUSALS as error:
-        reason = one_line(error)
+            return _Tensors(file).unflatten(header)
+    except _READ_ERRORS as error:
         raise DamagedError(
-            f"{path} is damaged or not a manip file: {reason}"
+            f"{path} is damaged or not a manip file: {one_line(error)}"
         ) from error
 
 
 def _flatten(node: Any, path: str, tensors: dict[str, torch.Tensor]) -> Any:
+    """The tree with names in place of tensors, which go to `tensors`."""
     if isinstance(node, torch.Tensor):
         name = _unused(path, tensors)
         tensors[name] = node.detach().contiguous().clone()
@@ -86,15 +90,31 @@ def _has_int_keys(node: dict[Any, Any]) -> bool:
     return kinds == {int}
 
 
-def _unflatten(node: Any, file: Any) -> Any:
-    if isinstance(node, list):
-        return [_unflatten(child, file) for child in node]
-    if not isinstance(node, dict):
-        return node
-    if _TENSOR in node:
-        return file.get_tensor(node[_TENSOR])
-    if _ARRAY in node:
-        return file.get_tensor(node[_ARRAY]).numpy()
-    if _INT_KEYS in node:
-        return {int(k): _unflatten(v, file) for k, v in node[_INT_KEYS].items()}
-    return {key: _unflatten(child, file) for key, child in node.items()}
+class _Tensors:
+    """The tensors of an open file, each of which a tree may name once.
+
+    A small file could name one tensor many times and fill the memory with its copies.
+    """
+
+    def __init__(self, file: Any) -> None:
+        self._file, self._unread = file, set(file.keys())
+
+    def unflatten(self, node: Any) -> Any:
+        """The tree with tensors in place of their names."""
+        if isinstance(node, list):
+            return [self.unflatten(child) for child in node]
+        if not isinstance(node, dict):
+            return node
+        if _TENSOR in node:
+            return self._read(node[_TENSOR])
+        if _ARRAY in node:
+            return self._read(node[_ARRAY]).numpy()
+        if _INT_KEYS in node:
+            children = node[_INT_KEYS].items()
+            return {int(key): self.unflatten(child) for key, child in children}
+        return {key: self.unflatten(child) for key, child in node.items()}
+
+    def _read(self, name: str) -> torch.Tensor:
+        self._unread.remove(name)
+        tensor: torch.Tensor = self._file.get_tensor(name)
+        return tensor

@@ -1,115 +1,106 @@
-"""The main job in one command: train, evaluate in stock robosuite, film, plot."""
+"""The main job in one command: train, evaluate in stock robosuite, render, plot."""
 
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import yaml
-from rich.console import Console
+import torch
 from rich.table import Table
+from rich.text import Text
 
-from manip.errors import UserError
+from manip.errors import at_least
 from manip.evaluation.learning_curve import plot_learning_curve
 from manip.evaluation.report import Evaluation, table
 from manip.io.atomic_files import write_text
+from manip.io.output_paths import check_output_folder
+from manip.io.printable import printable
 from manip.programs import cli
-from manip.programs.evaluate import Evaluate, evaluate
+from manip.programs.demo_folder import FILES, is_unfinished, remove_finished
+from manip.programs.evaluate import MOST_EPISODES, Evaluate, evaluate
+from manip.programs.output import console
 from manip.programs.render import Render, film
-from manip.training.checkpoint import Checkpoints
-from manip.training.config import recipe
+from manip.training.config import TrainConfig, recipe
+from manip.training.run import RunResult, train
 from manip.training.run_logs import read_metrics
-from manip.training.trainer import Trainer
+from manip.training.terminal import TerminalProgress
+
+STOPPED = 3
+"""Exit code: interrupted and saved."""
 
 
 @dataclass(frozen=True)
 class Demo:
-    """Train a Panda to lift a cube with SAC, prove it in stock robosuite, film it.
+    """Train a Panda to lift a cube with SAC, evaluate it in stock robosuite, render it.
 
-    An interrupted demo goes on where it stopped; a finished one starts anew.
+    An interrupted demo continues with the same command; a finished one starts anew.
     """
 
     out: Path = Path("runs/demo")
     """Folder for everything that the demo makes."""
     seed: int = 0
-    """Seed of the training."""
+    """Seed of the training run."""
     episodes: int = 100
-    """Episodes of the evaluation in stock robosuite."""
+    """Number of evaluation episodes. More episodes narrow the intervals."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the demo; 0 when it came to its end."""
+    """Run the demo; 0 if it ended, 3 if it was stopped and saved on the way."""
     options = cli.parse(Demo, arguments, "demo")
-    console = Console()
-    console.rule("1/3  train: Lift, Panda, SAC")
-    trainer = _trainer(options)
-    if not trainer.run():
-        return 3
-    console.rule(f"2/3  evaluate: {options.episodes} episodes in stock robosuite")
+    _check(options)
+    torch.set_num_threads(1)
+    _print_step("1/3  train: Lift, Panda, SAC")
+    with TerminalProgress() as progress:
+        run = train(_config(options), callback=progress)
+    if not run.finished:
+        return STOPPED
+    _print_step(f"2/3  evaluate: {options.episodes} episodes in stock robosuite")
     result = evaluate(Evaluate(options.out, "stock", options.episodes))
     write_text(options.out / "eval.json", result.to_json())
-    console.rule("3/3  film and plot")
+    _print_step("3/3  render and plot")
     film(Render(options.out, options.out / "video.mp4", steps=60))
-    curve = options.out / "learning_curve.png"
-    title = f"Lift, Panda, SAC, seed {options.seed}"
-    plot_learning_curve(read_metrics(options.out / "metrics.csv"), title, curve)
-    console.print(table(result))
-    console.print(_summary(options.out, trainer, result))
+    _plot(options)
+    console().print(table(result))
+    console().print(_summary(run, result))
     return 0
 
 
-def _trainer(options: Demo) -> Trainer:
+def _check(options: Demo) -> None:
+    at_least(0, "--seed", options.seed)
+    cli.check_range("--episodes", options.episodes, 1, MOST_EPISODES)
+    check_output_folder(options.out, "--out")
+
+
+def _print_step(title: str) -> None:
+    console().print(title, style="bold", highlight=False)
+
+
+def _config(options: Demo) -> TrainConfig:
     config = replace(recipe("Lift", "sac"), seed=options.seed, out=options.out)
-    if _unfinished(options.out, config.steps):
-        return Trainer(replace(config, resume=True))
-    _clear(options.out)
-    return Trainer(config)
+    if is_unfinished(options.out, config.steps):
+        return replace(config, resume=True)
+    remove_finished(options.out)
+    return config
 
 
-def _clear(folder: Path) -> None:
-    """Delete an earlier demo, and nothing else.
-
-    Raises:
-        UserError: the folder holds something that is not a run.
-    """
-    if not folder.exists():
-        return
-    if any(folder.iterdir()) and not (folder / "config.yaml").is_file():
-        raise UserError(f"{folder} is not empty and holds no run: choose another --out")
-    shutil.rmtree(folder)
+def _plot(options: Demo) -> None:
+    title = f"Lift, Panda, SAC, seed {options.seed}"
+    rows = read_metrics(options.out / "metrics.csv")
+    plot_learning_curve(rows, title, options.out / "learning_curve.png")
 
 
-def _unfinished(folder: Path, steps: int) -> bool:
-    if not Checkpoints(folder).exist():
-        return False
-    recorded = yaml.safe_load((folder / "config.yaml").read_text())
-    rows = read_metrics(folder / "metrics.csv")
-    done = int(rows[-1]["env_steps"]) if rows else 0
-    return bool(recorded.get("steps") == steps and done < steps)
-
-
-def _summary(folder: Path, trainer: Trainer, result: Evaluation) -> Table:
-    shown = Table(title="demo", title_style="bold", show_header=False)
-    minutes, seconds = divmod(round(trainer.seconds), 60)
+def _summary(run: RunResult, result: Evaluation) -> Table:
+    minutes, seconds = divmod(round(run.seconds), 60)
     held = result.success["success_held"]
-    shown.add_row(
-        "trained", f"{trainer.env_steps:,} steps in {minutes}:{seconds:02} min"
-    )
-    shown.add_row(
-        "held success in stock robosuite",
-        f"{held.rate:.1%} of {result.episodes} episodes "
-        f"({held.low:.1%} - {held.high:.1%})",
-    )
-    for name, what in _PARTS.items():
-        shown.add_row(what, str(folder / name))
-    return shown
-
-
-_PARTS = {
-    "policy": "policy",
-    "eval.json": "evaluation",
-    "video.mp4": "video",
-    "learning_curve.png": "learning curve",
-    "metrics.csv": "metrics (TensorBoard: tensorboard/)",
-    "config.yaml": "configuration",
-}
+    rows = {
+        "trained": f"{run.env_steps:,} steps in {minutes}:{seconds:02} min",
+        "success_held in stock robosuite": (
+            f"{held.rate:.1%} of {result.episodes} episodes "
+            f"({held.low:.1%} - {held.high:.1%})"
+        ),
+        "training seeds": "1: the interval covers episodes only",
+    }
+    rows |= {what: str(run.folder / name) for name, what in FILES.items()}
+    summary = Table(title="demo", title_style="bold", show_header=False)
+    for name, text in rows.items():
+        summary.add_row(name, Text(printable(text), overflow="fold"))
+    return summary

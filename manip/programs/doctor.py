@@ -1,7 +1,7 @@
-"""Check whether this machine can train, evaluate and draw, and say what to mend.
+"""`manip doctor`: check whether this machine can train, evaluate and render.
 
-Simulators and torch are tried in child processes: what is broken cannot break the
-doctor, and nothing heavy is imported to print a table.
+Simulators and torch are tried in child processes: a broken one cannot break this
+program, and nothing heavy is imported to print a table.
 """
 
 import json
@@ -15,12 +15,13 @@ from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from manip.cpus import usable_cpus
+from manip.io.printable import printable
 from manip.programs import cli
+from manip.programs.output import console
 from manip.sim.gl import INSTALL_HINT, find_backend
 
 TESTED = {
@@ -32,14 +33,31 @@ TESTED = {
     "tensordict": "0.14.3",
     "numba": "0.68.1",
 }
-"""Versions known to work together: dm-control reads the memory of one mujoco only,
-and robosuite 1.5.2 breaks from mujoco 3.10 on."""
+"""Versions that work together: a dm-control reads the structures of one mujoco only,
+and robosuite 1.5.2 fails from mujoco 3.10 on."""
 
 _NEEDED_DISK = 2 * 2**30
-"""Bytes that a run with a full replay buffer and the compiled code stay below."""
+"""Bytes; a run with a full replay buffer and the compiled code need less."""
 
 _CHILD_SECONDS = 120
 _PACKAGE_ROOT = Path(__file__).parents[2]
+
+CACHE_REMEDY = (
+    "set NUMBA_CACHE_DIR to a writable folder; without one, code is compiled at each "
+    "start"
+)
+
+_REMEDIES = {
+    "cannot cache function": CACHE_REMEDY,
+    "no locator available": CACHE_REMEDY,
+    "NUMBA_": "unset or correct the environment variable",
+    "MUJOCO_GL": "unset or correct the environment variable",
+    "Permission denied": "make it writable, or set HOME to a writable folder",
+    "Read-only file system": "make it writable, or set HOME to a writable folder",
+    "No space left": "free disk space",
+    "Cannot allocate memory": "free memory",
+}
+"""Text in the last line of a child -> what to do; the first that fits counts."""
 
 _DM_CONTROL = """
 from dm_control import suite
@@ -58,27 +76,32 @@ print(f"torch computes with {torch.get_num_threads()} threads")
 _CUDA = """
 import torch
 built = torch.version.cuda
-assert not built or torch.cuda.is_available(), f"built for CUDA {built}, finds no GPU"
+if built and not torch.cuda.is_available():
+    raise RuntimeError(f"built for CUDA {built}, finds no GPU")
 print(f"built for CUDA {built}" if built else "built for the CPU")
 """
 _NUMBA_CACHE = """
 from manip.compiled import cache_folder, cache_is_writable
 print(cache_folder())
-assert cache_is_writable(), f"{cache_folder()} is not writable"
+if not cache_is_writable():
+    raise RuntimeError(f"{cache_folder()} is not writable")
 """
 
 
 @dataclass(frozen=True)
 class Doctor:
-    """Check that this machine can train, evaluate and draw."""
+    """Check that this machine can train, evaluate and render.
+
+    The exit code is 0 if every required check passes, else 1.
+    """
 
     json: bool = False
-    """Print the checks as JSON."""
+    """Print JSON instead of a table."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """What was looked at, what was found, and, where it is not ok, what to do."""
+    """Result of a check; `remedy` says what to do if it is not ok."""
 
     name: str
     ok: bool
@@ -88,7 +111,7 @@ class Check:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Check this machine; 0 only when it is fit."""
+    """Check this machine; 0 if it can run manip, else 1."""
     return run(cli.parse(Doctor, arguments, "manip doctor"))
 
 
@@ -115,77 +138,76 @@ def check_python() -> Check:
 
 
 def check_package(name: str) -> Check:
-    """The package is installed; a version other than the tested one is mentioned."""
+    """The package is installed; another version than the tested one is reported."""
     tested = TESTED[name]
     try:
-        found = version(name)
+        installed = version(name)
     except PackageNotFoundError:
-        found = ""
-    same = found.split("+")[0] == tested
-    detail = found if same else f"{found or 'missing'} (tested with {tested})"
-    return Check(name, bool(found), True, detail, f"pip install {name}=={tested}")
+        installed = ""
+    same = installed.split("+")[0] == tested
+    detail = installed if same else f"{installed or 'missing'} (tested with {tested})"
+    return Check(name, bool(installed), True, detail, f"pip install {name}=={tested}")
 
 
 def check_dm_control() -> Check:
-    """dm_control and mujoco fit: importing proves nothing, loading a task does."""
+    """dm_control and mujoco fit: a task loads, which an import does not show."""
     ok, detail = _try(_DM_CONTROL)
-    return Check(
-        "dm_control on mujoco", ok, True, detail, _pins("mujoco", "dm-control")
-    )
+    remedy = remedy_of(detail, _pins("mujoco", "dm-control"))
+    return Check("dm_control on mujoco", ok, True, detail, remedy)
 
 
 def check_robosuite() -> Check:
     """robosuite and mujoco fit: an environment can be built and reset."""
     ok, detail = _try(_ROBOSUITE)
-    return Check("robosuite on mujoco", ok, True, detail, _pins("mujoco", "robosuite"))
+    remedy = remedy_of(detail, _pins("mujoco", "robosuite"))
+    return Check("robosuite on mujoco", ok, True, detail, remedy)
 
 
 def check_torch() -> Check:
     """torch and torchrl can be imported together."""
     ok, detail = _try(_TORCH)
-    pins = _pins("torch", "torchrl", "tensordict")
-    return Check("torchrl on torch", ok, True, detail, pins)
+    remedy = remedy_of(detail, _pins("torch", "torchrl", "tensordict"))
+    return Check("torchrl on torch", ok, True, detail, remedy)
 
 
 def check_cuda() -> Check:
-    """torch is not built for a GPU that is not there; manip computes on the CPU."""
+    """torch is not built for a missing GPU; manip computes on the CPU."""
     ok, detail = _try(_CUDA)
     remedy = (
-        "all works, on the CPU as always; torch's build for the CPU takes gigabytes "
-        "less disk and starts faster"
+        "everything works, on the CPU; torch's build for the CPU needs gigabytes less "
+        "disk and starts faster"
     )
     return Check("torch's build", ok, False, detail, remedy)
 
 
 def check_rendering() -> Check:
-    """An OpenGL backend draws, and MUJOCO_GL does not name one that does not."""
-    asked, found = os.environ.get("MUJOCO_GL", ""), find_backend()
-    if found is None:
-        detail = "nothing draws: with MUJOCO_GL unset training works, videos do not"
+    """An OpenGL backend works, and MUJOCO_GL is not set to one that fails."""
+    requested, working = os.environ.get("MUJOCO_GL", ""), find_backend()
+    if working is None:
+        detail = "no backend works: with MUJOCO_GL unset training works, videos do not"
         return Check("rendering", False, True, detail, INSTALL_HINT)
-    if asked.strip().lower() not in ("", found):
-        detail = f"MUJOCO_GL={asked} does not work, {found} does"
-        return Check("rendering", False, True, detail, f"export MUJOCO_GL={found}")
-    return Check("rendering", True, True, f"MUJOCO_GL={found} draws", "")
+    if requested.strip().lower() not in ("", working):
+        detail = f"MUJOCO_GL={requested} does not work, {working} does"
+        return Check("rendering", False, True, detail, f"export MUJOCO_GL={working}")
+    return Check("rendering", True, True, f"MUJOCO_GL={working} works", "")
 
 
 def check_cpus() -> Check:
-    """How many cores this process may use."""
+    """This process may use more than one core."""
     usable, present = usable_cpus(), os.cpu_count() or 1
     detail = f"{usable} of {present} cores usable"
-    remedy = "all works on one core, at half the speed of two"
+    remedy = "everything works on one core, at half the speed of two"
     return Check("CPU", usable > 1, False, detail, remedy)
 
 
 def check_numba_cache() -> Check:
-    """Compiled code can be kept between processes."""
+    """Compiled code can be stored for later processes."""
     ok, detail = _try(_NUMBA_CACHE)
-    remedy = "set NUMBA_CACHE_DIR to a writable folder, or compile at each start"
-    return Check("numba cache", ok, False, detail, remedy)
+    return Check("numba cache", ok, False, detail, CACHE_REMEDY)
 
 
 def check_disk() -> Check:
-    """There is room for a run in the working directory."""
+    """There is enough disk space for a run in the working directory."""
     free = shutil.disk_usage(Path.cwd()).free
     return Check(
         "disk",
@@ -193,8 +215,8 @@ def check_disk() -> Check:
         required=False,
         detail=f"{free / 2**30:.1f} GiB free in {Path.cwd()}",
         remedy=(
-            f"make room for {_NEEDED_DISK / 2**30:.0f} GiB, name another disk with "
-            "--out, or leave replay buffers out of checkpoints with --no-save-buffer"
+            f"free {_NEEDED_DISK / 2**30:.0f} GiB, name another disk with --out, or "
+            "leave replay buffers out of checkpoints with --no-save-buffer"
         ),
     )
 
@@ -214,9 +236,9 @@ CHECKS: tuple[Callable[[], Check], ...] = (
 
 
 def _try(code: str) -> tuple[bool, str]:
-    """Run Python code in a child; return whether it worked and its last line."""
+    """Run Python code in a child; return whether it worked, and its last line."""
     command = [sys.executable, "-c", code]
-    # With a broken MUJOCO_GL `import mujoco` itself fails; that has its own check.
+    # With a wrong MUJOCO_GL `import mujoco` itself fails; it has a check of its own.
     environment = os.environ | {"MUJOCO_GL": "disable"}
     try:
         child = subprocess.run(
@@ -235,20 +257,26 @@ def _try(code: str) -> tuple[bool, str]:
     return ok, lines[-1]
 
 
+def remedy_of(detail: str, otherwise: str) -> str:
+    """What to do about a child's last line; `otherwise` if it has no known cause."""
+    causes = (cause for cause in _REMEDIES if cause.lower() in detail.lower())
+    return next((_REMEDIES[cause] for cause in causes), otherwise)
+
+
 def _pins(*names: str) -> str:
     return "pip install " + " ".join(f"{name}=={TESTED[name]}" for name in names)
 
 
 def _print_report(checks: Iterable[Check], fit: bool) -> None:
-    table = Table("check", "", "found", box=None)
+    table = Table("check", "", "result", box=None)
     for check in checks:
-        table.add_row(check.name, _mark(check), escape(check.detail))
-    console = Console(soft_wrap=True)
-    console.print(table)
+        table.add_row(check.name, _mark(check), Text(printable(check.detail)))
+    console().print(table)
     for check in checks:
         if not check.ok:
-            console.print(f"{check.name}: {check.remedy}", markup=False)
-    console.print("fit" if fit else "not fit: mend what failed and run this again")
+            text = f"{check.name}: {check.remedy}"
+            console().print(text, markup=False, soft_wrap=True)
+    console().print("fit" if fit else "not fit: mend what failed, then run this again")
 
 
 def _mark(check: Check) -> str:

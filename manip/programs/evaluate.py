@@ -1,92 +1,119 @@
 """`manip evaluate`: measure a policy's success over many episodes."""
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
+import torch
 import tyro
 from rich.console import Console
 from rich.progress import Progress
 
 from manip.agents.policy import Policy, load_policy
-from manip.envs.backends.external_batch import library_of
-from manip.envs.task_registry import check_origin, load_task
+from manip.envs.external_task import library_of
+from manip.envs.make_batch import Backend
+from manip.envs.task import Task
+from manip.envs.task_registry import load_task_named_by
 from manip.errors import at_least
 from manip.evaluation.episodes import Episode
 from manip.evaluation.report import Evaluation, summarise, table
-from manip.evaluation.runners import Where, native_episodes, stock_episodes, timed
+from manip.evaluation.runners import EpisodeSettings, evaluate_policy
 from manip.io.atomic_files import write_text
+from manip.io.output_paths import check_output
 from manip.programs import cli
+from manip.programs.output import console
 from manip.sim.scene import Fidelity
 from manip.versions import versions
+
+MOST_EPISODES = 100_000
+"""Native episodes run side by side, in memory."""
 
 
 @dataclass(frozen=True)
 class Evaluate:
     """Measure a policy's success on its task.
 
-    Episodes start from seed, seed + 1, ...; the policy acts without noise. Success is
-    reported once (ever), at the end, and held (the last 10 control steps), each with
-    its Wilson 95 % interval.
+    The policy acts without exploration noise, in episodes that no policy is trained
+    or chosen on. Reported are success_once (in at least one control step),
+    success_at_end (in the last) and success_held (in the last 10), each with its
+    Wilson 95 % interval. The interval covers the choice of episodes; it does not cover
+    how training with another seed would turn out.
     """
 
     run: Annotated[Path, tyro.conf.Positional]
-    """Run folder, folder with a policy, or name of a shipped one (see `manip list`)."""
-    env: Where = "stock"
-    """stock: robosuite.make(...), or the task's own library; native: batch engine."""
+    """Run folder, policy folder, or name of a shipped policy (see `manip list`)."""
+    env: Backend = "stock"
+    """What simulates the episodes (backend). stock: robosuite.make(...) itself, or the
+    library that the task comes from; native: the batch engine, many times faster."""
     episodes: int = 100
-    """Number of episodes."""
+    """Number of episodes. More episodes narrow the intervals and take longer."""
     seed: int = 0
-    """Seed of the first episode."""
+    """Seed of the episodes' random streams. Two seeds have no episode in common."""
     fidelity: Fidelity = "exact"
-    """Physics of the native engine."""
+    """Physics of the native engine: exact as stock robosuite, or fast."""
     json: Path | None = None
-    """Write the result to this file, too."""
+    """File for the result as JSON, besides the table."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Evaluate and print a table."""
+    """Evaluate, write the JSON file, print the table."""
     options = cli.parse(Evaluate, arguments, "manip evaluate")
+    if options.json:
+        check_output(options.json, "--json")
+    torch.set_num_threads(1)
     result = evaluate(options)
-    Console().print(table(result))
     if options.json:
         write_text(options.json, result.to_json())
+    console().print(table(result))
     return 0
 
 
 def evaluate(options: Evaluate) -> Evaluation:
-    """Run the episodes and sum them up."""
-    at_least(1, "--episodes", options.episodes)
+    """Run the episodes and summarise them.
+
+    Raises:
+        UserError: an option is out of range, or there is no such policy.
+    """
+    cli.check_range("--episodes", options.episodes, 1, MOST_EPISODES)
     at_least(0, "--seed", options.seed)
     policy = load_policy(options.run)
     card = policy.card
-    check_origin(card.task, options.run)
-    task = load_task(card.task)
-    episodes, seconds = timed(lambda: _episodes(options, policy))
+    task = load_task_named_by(options.run, card.task)
+    settings = _settings(options, policy, task)
+    began = time.monotonic()
+    episodes = _run(policy, settings, f"{options.env} {library_of(card.task)}")
     return Evaluation(
         task=card.task,
         robot=card.robot,
         algo=card.algo,
         env=options.env,
-        fidelity="exact" if options.env == "stock" else options.fidelity,
+        fidelity=settings.fidelity,
         episodes=options.episodes,
         seed=options.seed,
+        purpose=settings.purpose.name.lower(),
         env_steps_trained=card.env_steps,
         **summarise(episodes, task.milestone_names),
-        seconds=seconds,
+        seconds=time.monotonic() - began,
         versions=versions(),
     )
 
 
-def _episodes(options: Evaluate, policy: Policy) -> Sequence[Episode]:
-    card = policy.card
-    rig = card.robot_config
-    asked = (card.task, policy, options.episodes, options.seed)
-    if options.env == "native":
-        return native_episodes(*asked, rig, options.fidelity, card.layout)
+def _settings(options: Evaluate, policy: Policy, task: Task) -> EpisodeSettings:
+    return EpisodeSettings(
+        task=task,
+        robot=policy.card.robot_config,
+        observation=policy.card.layout,
+        episodes=options.episodes,
+        seed=options.seed,
+        backend=options.env,
+        fidelity="exact" if options.env == "stock" else options.fidelity,
+    )
+
+
+def _run(policy: Policy, settings: EpisodeSettings, name: str) -> list[Episode]:
+    """Run the episodes, with a progress bar on stderr."""
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        running = bar.add_task(f"stock {library_of(card.task)}", total=options.episodes)
-        tell = partial(bar.advance, running)
-        return stock_episodes(*asked, rig, tell, card.layout)
+        running = bar.add_task(name, total=settings.episodes)
+        return evaluate_policy(policy, settings, lambda n: bar.advance(running, n))

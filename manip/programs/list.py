@@ -1,50 +1,58 @@
-"""`manip list`: what there is to choose from."""
+"""`manip list`: names of tasks, robots, algorithms, recipes and policies."""
 
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from manip.agents.policy import shipped_policies
-from manip.envs.backends.external_batch import external_names
+from manip.agents.registry import algorithm_names
+from manip.envs.external_task import external_names
 from manip.envs.task_registry import task_names
+from manip.io.printable import printable
 from manip.programs import cli
+from manip.programs.output import console
 from manip.robot_config import CONTROLLERS, ROBOTS
-from manip.training.config import ALGORITHMS, recipe_names
+from manip.training.config import recipe_names
 
 
 @dataclass(frozen=True)
 class List:
-    """Name the tasks, robots, algorithms, action spaces, recipes and policies."""
+    """List the names of tasks, robots, algorithms, action spaces, recipes, policies."""
 
     json: bool = False
-    """Print them as JSON."""
+    """Print JSON instead of a table."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Print what exists."""
+    """Print the names of everything that can be chosen."""
     options = cli.parse(List, arguments, "manip list")
-    found = catalogue()
+    names = catalogue()
     if options.json:
-        print(json.dumps(found, indent=2))
-        return 0
-    shown = Table(show_header=False)
-    for kind, names in found.items():
-        shown.add_row(kind.replace("_", " "), ", ".join(names) or "none")
-    Console().print(shown)
+        print(json.dumps(names, indent=2))
+    else:
+        console().print(_table(names))
     return 0
 
 
 def catalogue() -> dict[str, list[str]]:
-    """Kind -> names of all that exists."""
+    """Kind of thing -> names of all that exist."""
     return {
         "tasks": task_names(),
         "external_tasks": external_names(),
         "robots": list(ROBOTS),
-        "algorithms": list(ALGORITHMS),
+        "algorithms": algorithm_names(),
         "action_spaces": list(CONTROLLERS),
         "recipes": recipe_names(),
         "policies": list(shipped_policies()),
     }
+
+
+def _table(names: dict[str, list[str]]) -> Table:
+    table = Table(show_header=False)
+    for kind, kind_names in names.items():
+        listing = ", ".join(kind_names) or "none"
+        table.add_row(kind.replace("_", " "), Text(printable(listing)))
+    return table

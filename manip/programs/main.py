@@ -6,20 +6,21 @@ from collections.abc import Sequence
 
 from manip.errors import unknown
 from manip.programs import cli
+from manip.sim.robosuite_log import quiet_robosuite
 
 PROGRAMS = {
     "train": "train a policy",
     "evaluate": "measure a policy's success, in stock robosuite or natively",
-    "render": "film a policy",
+    "render": "make a video of a policy",
     "reproduce": "rerun shipped recipes and compare with their results",
-    "results": "show what the shipped recipes reach",
-    "replay": "take a step again that went wrong",
-    "list": "name tasks, robots, algorithms, recipes",
-    "doctor": "check that this machine is fit",
+    "results": "show the results of the shipped recipes",
+    "replay": "repeat a control step whose numbers were not finite",
+    "list": "list tasks, robots, algorithms, recipes, policies",
+    "doctor": "check that this machine can run manip",
     "benchmark": "measure speed",
     "study": "compare algorithms and their options",
 }
-"""Program -> what it does; each is the module of its name in `manip.programs`."""
+"""Program -> its purpose; each is the module of its name in `manip.programs`."""
 
 
 def main() -> None:
@@ -29,7 +30,7 @@ def main() -> None:
 
 def run_script(name: str) -> None:
     """Run one program with the whole command line (for scripts/NAME.py)."""
-    sys.exit(cli.run(_program(name), sys.argv[1:]))
+    sys.exit(cli.run(lambda arguments: _program(name)(arguments), sys.argv[1:]))
 
 
 def _dispatch(arguments: Sequence[str]) -> int:
@@ -43,6 +44,8 @@ def _dispatch(arguments: Sequence[str]) -> int:
 
 
 def _program(name: str) -> cli.Program:
+    """Import a program; only programs silence robosuite's log, imports never do."""
+    quiet_robosuite()
     module = importlib.import_module(f"manip.programs.{name}")
     program: cli.Program = module.main
     return program

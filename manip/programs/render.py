@@ -1,104 +1,153 @@
-"""`manip render`: film a policy at work."""
+"""`manip render`: make a video of a policy."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated
 
 import numpy as np
+import torch
 import tyro
 from tensordict import TensorDictBase
 
-from manip.agents.policy import load_policy
+from manip.agents.policy import Policy, load_policy
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.backends.native_batch import NativeBatch
-from manip.envs.make_batch import make_batch
-from manip.envs.task_registry import check_origin
-from manip.errors import at_least
+from manip.envs.task import Task
+from manip.envs.task_registry import load_task_named_by
+from manip.errors import UserError, at_least
 from manip.evaluation.episodes import run_episodes
+from manip.evaluation.runners import EpisodeSettings, make_env
+from manip.io.output_paths import check_output
+from manip.io.printable import printable
 from manip.io.video import Caption, save_animation
 from manip.programs import cli
 from manip.sim.renderer import WORKSPACE, render_frames
 
 Array = np.ndarray
 
+SUFFIXES = (".mp4", ".gif")
+
+MOST_EPISODES = 1000
+"""Their states are stored until they are drawn."""
+
+MOST_PIXELS = 4096
+"""Width and height that H.264 decoders play."""
+
 
 @dataclass(frozen=True)
 class Render:
-    """Film a policy at work, offscreen: EGL, else OSMesa, whichever works."""
+    """Make a video of a policy, off screen: with EGL, or else OSMesa."""
 
     run: Annotated[Path, tyro.conf.Positional]
-    """Run folder, folder with a policy, or name of a shipped one (see `manip list`)."""
+    """Run folder, policy folder, or name of a shipped policy (see `manip list`)."""
     out: Path = Path("video.mp4")
-    """File to write: .mp4 or .gif."""
+    """Video file to write: .mp4 or .gif."""
     episodes: int = 3
-    """Number of episodes."""
+    """Number of episodes, one after the other in the video."""
     seed: int = 0
-    """Seed of the episodes."""
+    """Seed of the episodes' random streams, the same as of `manip evaluate`."""
     camera: str = WORKSPACE
     """Camera: workspace, or one of the model's own (frontview, sideview, ...)."""
     width: int = 640
-    """Picture width [pixel]."""
+    """Width of the picture [pixel]."""
     height: int = 480
-    """Picture height [pixel]."""
+    """Height of the picture [pixel]."""
     steps: int | None = None
-    """Control steps filmed of each episode; all unless given."""
+    """Control steps shown of each episode. All of them unless given."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Film and say where the file lies."""
+    """Make the video and print its path."""
     options = cli.parse(Render, arguments, "manip render")
+    torch.set_num_threads(1)
     film(options)
-    print(options.out)
+    print(printable(str(options.out)))
     return 0
 
 
 def film(options: Render) -> None:
-    """Run the episodes on the exact engine, then draw the recorded states."""
-    for name in ("episodes", "width", "height"):
-        at_least(1, f"--{name}", getattr(options, name))
+    """Run the episodes on the exact engine, then draw the recorded states.
+
+    Raises:
+        UserError: an option is out of range, the file cannot be written, nothing can
+            draw here, or the task has no states to draw; all before the episodes.
+    """
+    _check(options)
+    policy = load_policy(options.run)
+    task = load_task_named_by(options.run, policy.card.task)
+    env = make_env(_settings(options, policy, task), options.episodes)
+    _draw_one(env, options)
+    recorder = Recorder(env)
+    run_episodes(env, policy, options.episodes, callback=recorder)
+    fps = policy.card.control_freq
+    save_animation(options.out, recorder.frames(options), fps)
+
+
+def _check(options: Render) -> None:
+    cli.check_range("--episodes", options.episodes, 1, MOST_EPISODES)
+    cli.check_range("--width", options.width, 1, MOST_PIXELS)
+    cli.check_range("--height", options.height, 1, MOST_PIXELS)
     at_least(1, "--steps", 1 if options.steps is None else options.steps)
     at_least(0, "--seed", options.seed)
-    policy = load_policy(options.run)
-    card = policy.card
-    check_origin(card.task, options.run)
-    env = TaskEnv(
-        make_batch(
-            card.task, options.episodes, robot=card.robot_config, seed=options.seed
-        )
-    )
-    env.batch.check_layout(card.layout)
+    check_output(options.out, "--out", SUFFIXES)
+
+
+def _draw_one(env: TaskEnv, options: Render) -> None:
+    """Draw one picture, which fails where camera, size or OpenGL do not work."""
     recorder = Recorder(env)
-    run_episodes(env, policy, options.episodes, watch=recorder)
-    frames = recorder.frames(options)
-    save_animation(options.out, frames, fps=card.control_freq)
+    recorder(env.reset())
+    with closing(recorder.frames(options)) as frames:
+        next(frames)
+    env.batch.restart()
+
+
+def _settings(options: Render, policy: Policy, task: Task) -> EpisodeSettings:
+    return EpisodeSettings(
+        task=task,
+        robot=policy.card.robot_config,
+        observation=policy.card.layout,
+        episodes=options.episodes,
+        seed=options.seed,
+        backend="native",
+    )
 
 
 class Recorder:
-    """Keeps the worlds' states as they pass, and draws them afterwards."""
+    """Record the states of environments during their episodes, and draw them later.
+
+    Raises:
+        UserError: the environments are not on the batch engine.
+    """
 
     def __init__(self, env: TaskEnv) -> None:
-        self._batch = cast(NativeBatch, env.batch)
+        if not isinstance(env.batch, NativeBatch):
+            raise UserError(
+                f"{env.batch.task.name} is not stepped by the batch engine and cannot "
+                "be rendered; `manip evaluate` measures its success"
+            )
+        self._batch = env.batch
         self._states: list[Array] = []
         self._success: list[Array] = []
 
     def __call__(self, state: TensorDictBase) -> None:
-        """Take in the worlds as they are now."""
+        """Record the present state of all environments."""
         self._states.append(self._batch.engine.states.copy())
         self._success.append(state["success"].squeeze(-1).numpy().copy())
 
-    def frames(self, options: Render) -> Iterator[Array]:
+    def frames(self, options: Render) -> Generator[Array, None, None]:
         """Pictures [H, W, 3] uint8 of all episodes, one after the other."""
         states = np.stack(self._states)[: options.steps]
         success = np.stack(self._success)[: options.steps]
-        for world in range(self._batch.num_envs):
+        for env_id in range(self._batch.num_envs):
             captions = [
-                Caption(_words(world, step, bool(done)), bool(done))
-                for step, done in enumerate(success[:, world])
+                Caption(_caption(env_id, step, bool(done)), bool(done))
+                for step, done in enumerate(success[:, env_id])
             ]
             yield from render_frames(
-                self._batch.engine.visual_model(states[0, world]),
-                states[:, world, : self._batch.scene.visual.nq],
+                self._batch.engine.visual_model(states[0, env_id]),
+                states[:, env_id, : self._batch.scene.visual.nq],
                 options.camera,
                 options.width,
                 options.height,
@@ -106,5 +155,5 @@ class Recorder:
             )
 
 
-def _words(world: int, step: int, success: bool) -> str:
-    return f"episode {world + 1}   step {step}" + ("   SUCCESS" if success else "")
+def _caption(env_id: int, step: int, success: bool) -> str:
+    return f"episode {env_id + 1}   step {step}" + ("   SUCCESS" if success else "")

@@ -6,12 +6,15 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import torch
 import tyro
-from rich.console import Console
 
-from manip.agents.policy import SHIPPED, PolicyCard, load_policy, shipped_policies
+from manip.agents.policy import load_policy
 from manip.cpus import machine
-from manip.errors import UserError, at_least, check_choice, unknown
+from manip.envs.episode_streams import CHOICE
+from manip.errors import UserError, check_choice, unknown
+from manip.evaluation.results_table import percent, result_percent
+from manip.evaluation.runners import EpisodeSettings, evaluate_policy
 from manip.evaluation.shipped_results import (
     RESULTS,
     Key,
@@ -19,74 +22,99 @@ from manip.evaluation.shipped_results import (
     Results,
     Run,
     load_results,
-    percent,
 )
+from manip.evaluation.statistics import compare_seeds, success_rate
 from manip.io.atomic_files import write_text
+from manip.io.output_paths import check_output, check_output_folder
 from manip.programs import cli
-from manip.programs.evaluate import Evaluate, evaluate
+from manip.programs.evaluate import MOST_EPISODES, Evaluate, evaluate
+from manip.programs.output import console
 from manip.programs.results import table
+from manip.programs.ship_policy import ship_policy
 from manip.robot_config import ROBOTS
 from manip.training.build import imitates
 from manip.training.config import TrainConfig, recipes
-from manip.training.trainer import Trainer, begin_or_resume
+from manip.training.run import RunResult, train_or_resume
+from manip.training.terminal import TerminalProgress
 from manip.versions import versions
 
 STOPPED = 3
 """Exit code: interrupted and saved."""
 
-WORTH = 0.9
-"""Rate of held success from which a policy is shipped."""
+CHOICE_EPISODES = 128
+"""Native episodes by which the seed of the shipped policy is chosen."""
+
+MOST_SEEDS = 1000
 
 
 @dataclass(frozen=True)
 class Reproduce:
     """Rerun shipped recipes, evaluate in stock robosuite, compare with the results.
 
-    Every recipe is trained with seeds 0, 1, ...; its held success agrees with the
-    shipped result of the same seed where their 95 % intervals meet. What was
-    interrupted goes on with the same command. The exit code is 1 if anything is worse
-    than its shipped result.
+    Each recipe is trained with seeds 0, 1, ... and every policy is evaluated in
+    episodes that it was neither trained nor chosen on. The success rates of all seeds
+    are compared with those of the shipped result, with the spread between seeds (a
+    one-sided t-test): agrees, worse, better, or cannot tell (fewer than three seeds in
+    both together). An unchanged recipe is called worse in less than 5 % of
+    reproductions with 3 to 5 seeds. The exit code is 1 if a recipe is worse.
+
+    After an interruption the same command continues.
     """
 
     what: Annotated[tuple[str, ...], tyro.conf.Positional]
-    """Tasks (Lift: all of its recipes), recipes (lift-sac), or all."""
+    """Recipes to rerun: names (lift-sac), tasks (Lift: all of its recipes), or all."""
     robot: str | None = None
-    """This arm alone; unless given, the recipe's own and those that have a result."""
+    """Arm to train. Unless given: the recipe's own, and those that have a result."""
     seeds: int = 3
-    """Seeds of each recipe."""
+    """Number of training seeds of each recipe. More seeds find smaller changes."""
     episodes: int = 100
-    """Episodes of each evaluation."""
+    """Number of evaluation episodes of each seed, in stock robosuite."""
     out: Path = Path("runs/reproduce")
     """Folder of the runs."""
     json: Path | None = None
-    """Write what was found to this file, too."""
+    """File for results and comparisons as JSON; it grows with each recipe."""
     write: bool = False
-    """Make what was found the shipped results (assets/results.yaml), and the best
-    policy the shipped one (assets/policies) if it succeeds well enough."""
+    """Replace the shipped results (assets/results.yaml), and ship the policy of the
+    best seed (assets/policies) if it succeeds in 90 % of its episodes or more. The
+    best seed is chosen in 128 native episodes, which are not those of the results."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Train, evaluate, compare: 0 agrees, 1 worse, 3 stopped and saved on the way."""
+    """Train, evaluate, compare: 0 without a worse recipe, 1 with one, 3 stopped."""
     options = cli.parse(Reproduce, arguments, "manip reproduce")
-    for name in ("seeds", "episodes"):
-        at_least(1, f"--{name}", getattr(options, name))
     stored = load_results()
-    found: list[Result] = []
-    for config in chosen(options, stored):
-        runs = tuple(_runs(config, options, stored))
+    configs = chosen(options, stored)
+    _check(options)
+    torch.set_num_threads(1)
+    results: list[Result] = []
+    for config in configs:
+        runs = tuple(_runs(config, options))
         if len(runs) < options.seeds:
             return STOPPED
-        found.append(Result(*_key(config), imitates(config), machine(), runs))
-        _keep(found, options, stored)
-    Console().print(table(stored, found))
-    worse = [_name(result) for result in found if "worse" in _verdicts(result, stored)]
+        result = Result(*_key(config), imitates(config), machine(), runs)
+        results.append(result)
+        _save(results, options, stored)
+        console().print(_comparison(result, stored), highlight=False, markup=False)
+    console().print(table(stored, results))
+    worse = [result for result in results if verdict(result, stored) == "worse"]
     if worse:
-        Console().print(f"worse than its result: {', '.join(worse)}", style="red")
+        names = ", ".join(" ".join(result.key) for result in worse)
+        console().print(f"worse than its result: {names}", style="red")
     return int(bool(worse))
 
 
+def _check(options: Reproduce) -> None:
+    cli.check_range("--seeds", options.seeds, 1, MOST_SEEDS)
+    cli.check_range("--episodes", options.episodes, 1, MOST_EPISODES)
+    check_output_folder(options.out, "--out")
+    if options.json:
+        check_output(options.json, "--json")
+    if options.write:
+        check_output(RESULTS, "--write")
+
+
 def chosen(options: Reproduce, stored: Results) -> list[TrainConfig]:
-    """The recipes that were asked for, with each of their arms.
+    """The requested recipes, with each of their arms.
 
     Raises:
         UserError: no such recipe or arm.
@@ -97,9 +125,9 @@ def chosen(options: Reproduce, stored: Results) -> list[TrainConfig]:
     names = {*known, *(config.task for config in known.values()), "all"}
     if not options.what:
         raise UserError(f"reproduce what? known recipes: {', '.join(sorted(names))}")
-    for asked in options.what:
-        if asked not in names:
-            raise unknown("recipe", asked, sorted(names))
+    for name in options.what:
+        if name not in names:
+            raise unknown("recipe", name, sorted(names))
     return [
         recipes(robot)[name]
         for name, config in known.items()
@@ -119,32 +147,53 @@ def _robots(config: TrainConfig, options: Reproduce, stored: Results) -> list[st
     return [config.robot, *sorted(others - {config.robot})]
 
 
-def _runs(config: TrainConfig, options: Reproduce, stored: Results) -> Iterator[Run]:
-    """A run a seed; fewer if it is stopped."""
-    console = Console()
+def _runs(config: TrainConfig, options: Reproduce) -> Iterator[Run]:
+    """Train and evaluate each seed; fewer than requested if it is interrupted."""
     for seed in range(options.seeds):
-        name = _run_name(_key(config), seed)
-        console.rule(name)
-        trainer = begin_or_resume(replace(config, seed=seed, out=options.out / name))
-        if not trainer.run():
+        name = run_name(_key(config), seed)
+        console().print(name, style="bold")
+        seeded = replace(config, seed=seed, out=options.out / name)
+        with TerminalProgress() as progress:
+            trained = train_or_resume(seeded, callback=progress)
+        if not trained.finished:
             return
-        run = _judged(trainer, options.episodes)
-        console.print(f"{name}: {_comparison(run, _key(config), stored)}")
+        run = _evaluated(trained, seed, options.episodes)
+        console().print(f"{name}: success_held {percent(run.rate)} %", highlight=False)
         yield run
 
 
-def _judged(trainer: Trainer, episodes: int) -> Run:
-    judged = evaluate(Evaluate(trainer.folder, "stock", episodes))
+def _evaluated(trained: RunResult, seed: int, episodes: int) -> Run:
+    result = evaluate(Evaluate(trained.folder, "stock", episodes))
     return Run(
-        seed=trainer.config.seed,
-        success_held=round(judged.success["success_held"].rate * episodes),
+        seed=seed,
+        success_held=round(result.success["success_held"].rate * episodes),
         episodes=episodes,
-        env_steps=trainer.env_steps,
-        minutes=round(trainer.seconds / 60, 1),
+        env_steps=trained.env_steps,
+        minutes=round(trained.seconds / 60, 1),
+        choice_rate=choice_rate(trained.folder),
     )
 
 
-def _run_name(key: Key, seed: int) -> str:
+def choice_rate(folder: Path) -> float:
+    """Rate of success_held in the episodes by which a seed is chosen.
+
+    They are native and exact, and differ from those of training and evaluation.
+    """
+    policy = load_policy(folder)
+    settings = EpisodeSettings(
+        task=policy.card.task,
+        robot=policy.card.robot_config,
+        observation=policy.card.layout,
+        episodes=CHOICE_EPISODES,
+        purpose=CHOICE,
+        backend="native",
+    )
+    episodes = evaluate_policy(policy, settings)
+    return success_rate([episode.success_held for episode in episodes]).rate
+
+
+def run_name(key: Key, seed: int) -> str:
+    """Name of the folder of a run."""
     return "-".join((*key, str(seed)))
 
 
@@ -152,67 +201,46 @@ def _key(config: TrainConfig) -> Key:
     return config.task, config.robot, config.algo
 
 
-def _name(result: Result) -> str:
-    return " ".join(result.key)
+def verdict(result: Result, stored: Results) -> str:
+    """Compare a recipe with its shipped result, over seeds; "new" if it has none."""
+    before = stored.of(result.key)
+    return compare_seeds(result.counts, before.counts) if before else "new"
 
 
-def verdict(run: Run, stored: Run | None) -> str:
-    """How a run compares with the shipped one of its seed."""
-    if stored is None:
-        return "new"
-    if run.rate.low > stored.rate.high:
-        return "better"
-    return "worse" if run.rate.high < stored.rate.low else "agrees"
+def _comparison(result: Result, stored: Results) -> str:
+    before = stored.of(result.key)
+    shipped = f", shipped {result_percent(before)}" if before else ""
+    rate = f"success_held {result_percent(result)} %{shipped}"
+    return f"{' '.join(result.key)}: {rate}: {verdict(result, stored)}"
 
 
-def _verdicts(result: Result, stored: Results) -> list[str]:
-    return [verdict(run, stored.run(result.key, run.seed)) for run in result.runs]
-
-
-def _comparison(run: Run, key: Key, stored: Results) -> str:
-    before = stored.run(key, run.seed)
-    beside = f", shipped {percent(before.rate)}" if before else ""
-    return f"held {percent(run.rate)} %{beside}: {verdict(run, before)}"
-
-
-def _keep(found: Sequence[Result], options: Reproduce, stored: Results) -> None:
+def _save(results: Sequence[Result], options: Reproduce, stored: Results) -> None:
+    """Write what was requested, with the recipes that are done so far."""
     if options.json:
         record = {
-            "results": [_record(result, stored) for result in found],
+            "results": [_record(result, stored) for result in results],
             "versions": versions(),
         }
         write_text(options.json, json.dumps(record, indent=2) + "\n")
     if options.write:
-        for result in found:
-            _ship_policy(result, options.out, stored)
+        for result in results:
+            folders = {
+                r.seed: options.out / run_name(result.key, r.seed) for r in result.runs
+            }
+            ship_policy(result, folders, stored)
             stored = stored.having(result)
         stored.save(RESULTS)
 
 
-def _ship_policy(result: Result, out: Path, stored: Results) -> None:
-    """Ship the best run's policy, if worth it and better than another algorithm's."""
-    best = max(result.runs, key=lambda run: run.rate.rate)
-    policy = load_policy(out / _run_name(result.key, best.seed))
-    if best.rate.rate >= WORTH and best.rate.rate > _rival(policy.card, stored):
-        policy.save(SHIPPED / policy.card.name)
-
-
-def _rival(card: PolicyCard, stored: Results) -> float:
-    """What the shipped policy reaches, if it is of another algorithm."""
-    folder = shipped_policies().get(card.name)
-    before = load_policy(folder).card if folder else card
-    run = stored.run((before.task, before.robot, before.algo), before.seed)
-    return run.rate.rate if run and before.algo != card.algo else 0.0
-
-
 def _record(result: Result, stored: Results) -> dict[str, Any]:
-    runs = [_with_stored(run, stored.run(result.key, run.seed)) for run in result.runs]
-    return result.plain() | {"runs": runs}
-
-
-def _with_stored(run: Run, stored: Run | None) -> dict[str, Any]:
-    return asdict(run) | {
-        "rate": asdict(run.rate),
-        "shipped": asdict(stored.rate) if stored else None,
-        "verdict": verdict(run, stored),
+    before = stored.of(result.key)
+    runs = [run.to_dict() | {"rate": asdict(run.rate)} for run in result.runs]
+    return result.to_dict() | {
+        "runs": runs,
+        "seeds": len(runs),
+        "rate": asdict(result.rate),
+        "interval_covers": "seeds and episodes" if len(runs) > 1 else "episodes only",
+        "shipped": asdict(before.rate) if before else None,
+        "shipped_seeds": len(before.runs) if before else 0,
+        "verdict": verdict(result, stored),
     }

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from manip.agents.registry import algorithm_names
 from manip.envs.task_registry import load_task
 from manip.errors import UserError, at_least
 from manip.io.atomic_files import write_text
@@ -25,7 +26,6 @@ from manip.studies.learning import (
     clipping_variants,
     evaluations,
 )
-from manip.training.config import ALGORITHMS
 
 Measure = Callable[["Study"], list[Any]]
 Figures = Mapping[str, Callable[[Sequence[Any], Path], None]]
@@ -53,7 +53,7 @@ class Study:
     """Study to run."""
     tasks: tuple[str, ...] = ("Reach",)
     """Tasks; `gradients` and `clipping` use the first."""
-    algos: tuple[str, ...] = tuple(algo for algo in ALGORITHMS if algo != "bc")
+    algos: tuple[str, ...] = tuple(algo for algo in algorithm_names() if algo != "bc")
     """Algorithms of `algorithms`; by default all that learn from rewards."""
     seeds: int = 3
     """Number of runs of each variant, with seeds 0, 1, ..."""

@@ -2,61 +2,94 @@
 
 import contextlib
 import io
-import sys
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import tyro
 
-from manip.envs.backends.external_batch import ExternalTask
-from manip.envs.task_registry import check_origin, load_task
-from manip.errors import UserError, check_choice, unknown
+from manip.envs.external_task import ExternalTask
+from manip.envs.task_registry import load_task, load_task_named_by
+from manip.errors import UserError, check_choice
 from manip.programs import cli
 from manip.robot_config import ROBOTS
-from manip.training.config import ALGORITHMS, TrainConfig, recipe, recorded
-from manip.training.trainer import Trainer
+from manip.training.config import (
+    TrainConfig,
+    recipe,
+    recorded,
+    scales_other_actions,
+)
+from manip.training.run import train
+from manip.training.terminal import TerminalProgress
+
+_TEXT_OPTIONS = {"--task", "--algo", "--robot", "--out", "--wandb", "--agent.reference"}
+"""Options whose value stays as it is written."""
 
 
 @dataclass(frozen=True)
 class _Start:
-    """The options that choose the recipe which sets all others."""
+    """The options that choose the recipe, which sets all others."""
 
     task: str = "Lift"
     algo: str = "sac"
     robot: str | None = None
+    controller: str | None = None
     out: Path | None = None
     resume: bool = False
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Train; 0 when the run ended, 3 when it was stopped and saved on the way."""
+    """Train; 0 when the run finished, 3 when it was stopped and saved before."""
+    arguments = list(_with_whole_numbers(arguments))
     config = cli.parse(TrainConfig, arguments, "manip train", _defaults(arguments))
     task = load_task(config.task)
     check_choice("robot", config.robot, ROBOTS)
-    if isinstance(task, ExternalTask):
-        print(f"manip: {task.notice}", file=sys.stderr)
-    finished = Trainer(config).run()
-    if finished:
-        print(f"trained policy: {config.folder / 'policy'}", file=sys.stderr)
-    return 0 if finished else 3
+    with TerminalProgress() as progress:
+        if isinstance(task, ExternalTask):
+            progress.say(f"manip: {task.notice}")
+        result = train(config, callback=progress)
+        if result.finished:
+            progress.say(f"trained policy: {result.policy}")
+    return 0 if result.finished else 3
+
+
+def _with_whole_numbers(arguments: Sequence[str]) -> Iterator[str]:
+    """Write numbers such as 1e6 or 2.5e5 in full, which whole numbers may be, too."""
+    option = ""
+    for argument in arguments:
+        if argument.startswith("--"):
+            option, equals, value = argument.partition("=")
+            yield f"{option}{equals}{_in_full(value, option)}"
+        else:
+            yield _in_full(argument, option)
+
+
+def _in_full(value: str, option: str) -> str:
+    form = re.fullmatch(r"\d+(\.\d+)?[eE]\+?\d{1,2}", value)
+    if option.replace("_", "-") in _TEXT_OPTIONS or not form:
+        return value
+    return str(int(float(value))) if float(value).is_integer() else value
 
 
 def _defaults(arguments: Sequence[str]) -> TrainConfig:
-    """The recipe of the task, algorithm and arm; or the options of a run to resume."""
+    """The recipe of task, algorithm and arm; or the options of a run to resume."""
     with contextlib.redirect_stderr(io.StringIO()):
         try:
             start, _ = tyro.cli(
                 _Start, args=list(arguments), return_unknown_args=True, add_help=False
             )
         except SystemExit:
-            return TrainConfig()  # parsing all options says what is wrong
+            return TrainConfig()  # parsing all options reports the mistake
     if start.resume:
         return _recorded(start.out)
-    if start.algo not in ALGORITHMS:
-        raise unknown("algorithm", start.algo, ALGORITHMS)
     load_task(start.task)
-    return recipe(start.task, start.algo, start.robot)
+    if scales_other_actions(start.task, start.algo, start.controller):
+        print(
+            f"manip: the recipe's action_scale is not used with {start.controller}",
+            file=sys.stderr,
+        )
+    return recipe(start.task, start.algo, start.robot, start.controller)
 
 
 def _recorded(out: Path | None) -> TrainConfig:
@@ -64,5 +97,5 @@ def _recorded(out: Path | None) -> TrainConfig:
     if out is None or not path.is_file():
         raise UserError(f"--resume needs --out with a run folder; there is no {path}")
     config = replace(recorded(out), out=out, resume=True)
-    check_origin(config.task, out)
+    load_task_named_by(out, config.task)
     return config

@@ -1,4 +1,4 @@
-"""A counter that threads share without a lock, and so hand out work one by one."""
+"""A counter that threads share without a lock, to divide work among them."""
 
 from typing import Any
 
@@ -9,9 +9,10 @@ from numba.extending import intrinsic
 
 @intrinsic
 def take_number(typing: Any, counter: Any) -> Any:
-    """Add one to the int64 at an address, and return what it was: each thread its own.
+    """Add one to the int64 at an address and return its value before, atomically.
 
-    Called from compiled code as `take_number(address)`.
+    No two threads get the same number. Called from compiled code as
+    `take_number(address)`.
     """
 
     def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

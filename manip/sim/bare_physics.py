@@ -1,4 +1,4 @@
-"""MuJoCo's own speed: the bound that the batch engine is measured against."""
+"""Physics without control laws: the bound that the engine's speed is compared with."""
 
 from collections.abc import Callable
 
@@ -9,9 +9,10 @@ from mujoco.rollout import Rollout
 from manip.compiled import jit
 from manip.sim.batch_engine import BatchEngine
 from manip.sim.control_laws import Work
+from manip.sim.control_step import control
 from manip.sim.libmujoco import mj_step1, mj_step2
 from manip.sim.robot_model import Arm, Gripper
-from manip.sim.stepping import Sim, control, load
+from manip.sim.sim_memory import Sim, load
 from manip.sim.thread_data import thread_data
 
 Array = np.ndarray
@@ -20,19 +21,19 @@ Array = np.ndarray
 def bare_physics(
     engine: BatchEngine, actions: Array, threads: int
 ) -> Callable[[], Array]:
-    """A function that repeats in `mujoco.rollout`, in C, what the engine would do.
+    """Build a function that repeats the engine's steps in `mujoco.rollout`, in C.
 
-    The controls of every substep are recorded beforehand, so that the repetition meets
+    The controls of every substep are recorded beforehand, so that the repetition has
     the same contacts and computes no control law.
 
     Args:
-        engine: its worlds as they are now are the start; they stay as they are.
+        engine: its present states are the start; they do not change.
         actions: [T, N, A], the control steps to take.
-        threads: that the rollout runs on.
+        threads: number of threads of the rollout.
 
     Returns:
-        A function that takes T control steps of all worlds and returns qpos [N, nq],
-        where they end.
+        A function that takes T control steps in all environments and returns their
+        last qpos [N, nq].
     """
     model = engine.scene.physics
     nq, nv = model.nq, model.nv
@@ -61,7 +62,7 @@ def bare_physics(
 
 
 def _recorded(engine: BatchEngine, actions: Array) -> Array:
-    """Controls [N, T * substeps, nu] that the engine would apply."""
+    """[N, T * substeps, nu]: the controls that the engine would apply."""
     scene = engine.scene
     memory = thread_data(scene)
     shape = engine.num_envs, len(actions) * scene.substeps, scene.physics.nu
@@ -82,12 +83,12 @@ def _record(
     controls: Array,
 ) -> None:
     substeps = controls.shape[1] // len(actions)
-    for world in range(len(states)):
-        load(states[world], sim.state)
+    for env_id in range(len(states)):
+        load(states[env_id], sim.state)
         for substep in range(controls.shape[1]):
-            action = actions[substep // substeps, world]
+            action = actions[substep // substeps, env_id]
             mj_step1(sim.model, sim.data)
             control(sim, arm, gripper, w, action, substep % substeps)
             for k in range(len(sim.ctrl)):
-                controls[world, substep, k] = sim.ctrl[k]
+                controls[env_id, substep, k] = sim.ctrl[k]
             mj_step2(sim.model, sim.data)

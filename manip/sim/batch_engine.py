@@ -1,263 +1,300 @@
-"""BatchEngine: N worlds of one scene, stepped by native code on several threads.
+"""BatchEngine: step N environments of one scene in native threads.
 
-One control period of one world is robosuite's own sequence (environments/base.py):
-`mj_step1`, goal latched at the first substep, control law, `mj_step2`. As in stock,
-positions of bodies and sites, and contacts, are one substep old after a step: they
-belong to the state before the last integration.
+One control period of one environment is robosuite's own sequence
+(environments/base.py): `mj_step1`, goal latched at the first substep, control law,
+`mj_step2`. As in robosuite, positions of bodies and sites, and contacts, are one
+substep old after a step: they belong to the state before the last integration.
 """
 
-from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from manip.cpus import usable_cpus
-from manip.errors import UserError
+from manip.errors import UserError, at_least, check_choice, shown
+from manip.sim.actions import checked_actions
+from manip.sim.engine import Snapshot
+from manip.sim.exclusive_use import ExclusiveUse
+from manip.sim.fields import write_slot
+from manip.sim.not_copied import NotCopied
+from manip.sim.read_only import read_only
 from manip.sim.scene import Scene
-from manip.sim.scene_layout import with_joints
-from manip.sim.stepping import Plan, refresh_worlds, step_worlds
-from manip.sim.thread_data import ThreadData, thread_data
+from manip.sim.scene_layout import constant_readings, with_joints
+from manip.sim.state_row import (
+    default_row,
+    reading_columns,
+    readings_width,
+    state_columns,
+    touch_start,
+)
+from manip.sim.stepping import Plan, refresh_environments, step_environments
+from manip.sim.thread_data import ThreadData
+from manip.sim.thread_team import ThreadTeam
 
 Array = np.ndarray
 
+_NOT_READ = {"qpos", "qvel", "warmstart"}
+"""Parts of a state row that `read` takes from the readings, or leaves out."""
 
-@dataclass(frozen=True)
-class Snapshot:
-    """All that some worlds are: states [n, S] and readings [n, R], for `restore`."""
+
+class _Buffer(NamedTuple):
+    """States [N, S] and readings [N, R] of one instant, and read-only views."""
 
     states: Array
     readings: Array
+    views: Mapping[str, Array]
 
 
-class BatchEngine:
-    """N worlds of a scene.
+class BatchEngine(NotCopied):
+    """Step N environments of a scene; keeps the contract of `Engine`.
 
-    A world's state row is [qpos nq, qvel nv, warmstart nv, arm pose at the episode's
-    start n, gripper command, model fields, the task's memory]: everything that a step
-    depends on.
+    An environment's state row holds everything that a step depends on; see
+    `manip.sim.state_row.state_columns`. One thread at a time may use an engine. A
+    deep copy is an engine of its own; pickling is refused.
 
     Args:
         scene: what is simulated.
         num_envs: N.
-        threads: native threads; the CPUs this process may use unless given.
+        threads: native threads (default: the CPUs that this process may use).
 
     Attributes:
-        states: [N, S] float64, the rows described above.
-        broken: [N] bool, worlds that became non-finite in the last step, or whose
-            action was NaN; they keep the state and readings from before it.
-        broken_count: how many worlds have broken so far.
+        broken: [N] bool, environments that broke in the last step.
+        broken_count: number of environments that have broken so far.
+        changes: number of calls so far that have changed a state.
     """
 
     def __init__(self, scene: Scene, num_envs: int, threads: int | None = None) -> None:
-        if num_envs < 1:
-            raise UserError(f"num_envs must be at least 1, not {num_envs}")
-        if threads is not None and threads < 1:
-            raise UserError(f"threads must be at least 1, not {threads}")
+        at_least(1, "num_envs", num_envs)
+        if threads is not None:
+            at_least(1, "threads", threads)
         self.scene = scene
         self.num_envs = num_envs
         self.threads = min(threads or usable_cpus(), num_envs)
         self.control_dt = scene.control_dt
-        self._plan = _plan(scene)
-        self._fields_at = _fields_at(scene)
-        self._memory_at = self._fields_at + sum(s.size for s in scene.layout.fields)
-        self._mine = [thread_data(scene) for _ in range(self.threads)]
-        self._pool = ThreadPoolExecutor(max(1, self.threads - 1), "manip-sim")
-        self.states = np.tile(_default_state(scene), (num_envs, 1))
-        self._readings = np.zeros((num_envs, _readings_width(scene)))
-        self._named = _named_readings(scene, self)
         self.broken = np.zeros(num_envs, bool)
         self.broken_count = 0
+        self.changes = 0
+        self._plan = _plan(scene)
+        self._columns = state_columns(scene)
+        self._default = default_row(scene)
+        self._constants = read_only(constant_readings(scene.layout))
+        self._team = ThreadTeam(scene, self.threads)
+        self._exclusive = ExclusiveUse("the engine")
+        self._now, self._before = (self._new_buffer() for _ in range(2))
         self._refresh(np.arange(num_envs))
 
+    @property
+    def states(self) -> Array:
+        """[N, S] float64: the present state rows, which the next step changes."""
+        return self._now.states
+
+    @property
+    def before(self) -> Snapshot:
+        """As `Engine.before`: a step writes into the other one of two buffers."""
+        return Snapshot(self._before.states, self._before.readings)
+
     def step(self, action: Array) -> Array:
-        """Advance every world by one control period.
+        """As `Engine.step`; the action is the arm's part, then the gripper's number.
 
-        Args:
-            action: [N, A] in [-1, 1] (clipped): the arm's part, then the gripper's,
-                positive closing; only the sign of the latter counts.
-
-        Returns:
-            [N] bool, the `broken` environments.
+        The gripper closes while its number is positive: only the sign counts.
         """
-        action = np.ascontiguousarray(action, dtype=np.float64)
-        expected = (self.num_envs, self.scene.layout.action_dim)
-        if action.shape != expected:
-            raise UserError(
-                f"action has shape {action.shape}, the engine needs {expected}"
-            )
-        arm, gripper = self.scene.layout.arm, self.scene.layout.gripper
+        layout = self.scene.layout
+        actions = checked_actions(action, self.num_envs, layout.action_dim)
         counter = np.zeros(1, np.int64)
 
-        def work(mine: ThreadData) -> None:
-            step_worlds(
-                mine.sim,
+        def work(thread: ThreadData) -> None:
+            step_environments(
+                thread.sim,
                 self._plan,
-                arm,
-                gripper,
-                mine.work,
-                action,
-                self.states,
-                self._readings,
+                layout.arm,
+                layout.gripper,
+                thread.work,
+                actions,
+                self._now.states,
+                self._now.readings,
+                self._before.states,
+                self._before.readings,
                 self.broken,
                 counter,
             )
 
-        self._share(work, self.num_envs)
-        self.broken_count += int(self.broken.sum())
+        with self._exclusive:
+            self._team.run(work, self.num_envs)
+            self._now, self._before = self._before, self._now
+            self.changes += 1
+            self.broken_count += int(self.broken.sum())
         return self.broken
 
     def reset(
-        self, worlds: Array, qpos: Array, fields: Mapping[str, Array] | None = None
+        self, env_ids: Array, qpos: Array, fields: Mapping[str, Array] | None = None
     ) -> None:
-        """Start new episodes in some worlds, as a reset of robosuite does.
+        """As `Engine.reset`."""
+        env_ids = self._checked_ids(env_ids)
+        rows = np.tile(self._default, (len(env_ids), 1))
+        self._fill(rows, "qpos", qpos)
+        start_pos = rows[:, self._columns["qpos"]][:, self.scene.layout.arm.qpos]
+        rows[:, self._columns["start_pos"]] = start_pos
+        self._fill_fields(rows, fields)
+        self._write(env_ids, rows)
 
-        Velocities, warm start, gripper command and memory become zero, the arm's pose
-        in `qpos` becomes the null-space target, and readings are refreshed.
+    def set_state(
+        self,
+        env_ids: Array,
+        qpos: Array,
+        qvel: Array,
+        *,
+        start_pos: Array | None = None,
+        gripper_command: Array | None = None,
+        fields: Mapping[str, Array] | None = None,
+        memory: Mapping[str, Array] | None = None,
+    ) -> None:
+        """As `Engine.set_state`."""
+        env_ids = self._checked_ids(env_ids)
+        rows = self._now.states[env_ids]
+        self._fill(rows, "qpos", qpos)
+        self._fill(rows, "qvel", qvel)
+        if start_pos is not None:
+            self._fill(rows, "start_pos", start_pos)
+        if gripper_command is not None:
+            self._fill(rows, "gripper_command", gripper_command)
+        self._fill_fields(rows, fields)
+        for name, values in (memory or {}).items():
+            check_choice("memory", name, self.scene.layout.memory)
+            self._fill(rows, name, values)
+        rows[:, self._columns["warmstart"]] = 0.0
+        if not np.isfinite(rows).all():
+            raise UserError("the state to set holds values that are not finite")
+        self._write(env_ids, rows)
 
-        Args:
-            worlds: [n] int.
-            qpos: [n, nq].
-            fields: name -> [n, k], the model fields to set in these worlds.
-        """
-        rows = np.zeros((len(worlds), self.states.shape[1]))
-        rows[:, : qpos.shape[1]] = qpos
-        start_pos = self.field_columns("start_pos")
-        rows[:, start_pos] = qpos[:, self.scene.layout.arm.qpos]
-        kept = slice(self._fields_at, self._memory_at)
-        rows[:, kept] = self.states[worlds, kept]
-        for name, values in (fields or {}).items():
-            rows[:, self.field_columns(name)] = values
-        self.states[worlds] = rows
-        self._refresh(np.asarray(worlds))
-
-    def write_memory(self, worlds: Array, memory: Mapping[str, Array]) -> None:
-        """Keep numbers of the task's, name -> [n, k], with some worlds [n] int."""
-        for name, values in memory.items():
-            self.states[worlds, self.field_columns(name)] = values
+    def write_memory(self, env_ids: Array, memory: Mapping[str, Array]) -> None:
+        """As `Engine.write_memory`."""
+        with self._exclusive:
+            self.changes += 1
+            for name, values in memory.items():
+                check_choice("memory", name, self.scene.layout.memory)
+                columns = self._columns[name]
+                _check_shape(name, values, (len(env_ids), columns.stop - columns.start))
+                self._now.states[env_ids, columns] = values
 
     def read(self) -> dict[str, Array]:
-        """Named views [N, k] of the readings.
+        """Named readings [N, k], read-only views; a step changes them.
 
         Always present: qpos, qvel, qacc; joint_pos, joint_vel [N, n]; gripper_qpos,
         gripper_qvel; eef_pos [N, 3] m and eef_mat [N, 9] of the grip site; hand_quat
         [N, 4] wxyz of the hand body; gripper_command, one number an actuator;
-        gripper_closing [N], 1 when told to close; gripper_speed [1], how much that
-        changes in a step; gripper_narrowest [1] m between pads when shut; start_pos
-        [N, n], the arm at the episode's start; rest_pos [1, n], its default pose;
-        joint_low, joint_high [1, n], its limits; what the task's `Sensors` name, fields
-        and memory too.
-        Views change with the next step: copy what must stay.
+        gripper_closing [N], 1 once it is commanded to close fully; gripper_speed [1],
+        how much that changes in a step; gripper_narrowest [1] m between the pads when
+        shut; start_pos [N, n], the arm at the episode's start; rest_pos [1, n], its
+        default pose; joint_low, joint_high [1, n], its limits; and everything that the
+        task's `Sensors` name, fields and memory included.
         """
-        named = dict(self._named)
-        for name, columns in _state_columns(self.scene).items():
-            named[name] = self.states[:, columns]
-        return with_joints(self.scene.layout, named)
+        with self._exclusive:
+            named = {**self._now.views, **self._constants}
+            return read_only(with_joints(self.scene.layout, named))
 
-    def save(self, worlds: Array | slice = slice(None)) -> Snapshot:
-        """Copy everything that the given worlds are."""
-        return Snapshot(self.states[worlds].copy(), self._readings[worlds].copy())
+    def save(self, env_ids: Array | slice = slice(None)) -> Snapshot:
+        """As `Engine.save`."""
+        with self._exclusive:
+            now = self._now
+            return Snapshot(now.states[env_ids].copy(), now.readings[env_ids].copy())
 
-    def restore(self, snapshot: Snapshot, worlds: Array | slice = slice(None)) -> None:
-        """Put saved worlds back, bit for bit, at the given places."""
-        self.states[worlds] = snapshot.states
-        self._readings[worlds] = snapshot.readings
+    def restore(self, snapshot: Snapshot, env_ids: Array | slice = slice(None)) -> None:
+        """As `Engine.restore`."""
+        with self._exclusive:
+            self.changes += 1
+            self._now.states[env_ids] = snapshot.states
+            self._now.readings[env_ids] = snapshot.readings
+
+    def state_columns(self, name: str) -> slice:
+        """Columns of `states` that hold a part of the state, a field or memory."""
+        return self._columns[name]
 
     @property
-    def bytes_per_world(self) -> int:
-        """Memory that one more world takes: its state and its readings."""
-        return int(self.states[0].nbytes + self._readings[0].nbytes)
-
-    def field_columns(self, name: str) -> slice:
-        """Columns of `states` that hold a model field or a part of the memory."""
-        return _state_columns(self.scene)[name]
+    def bytes_per_env(self) -> int:
+        """Memory that one more environment takes: states and readings, twice."""
+        return 2 * int(self.states[0].nbytes + self._now.readings[0].nbytes)
 
     def visual_model(self, state: Array) -> mujoco.MjModel:
-        """A copy of the stock model with the model fields of a state row [S]."""
+        """Copy the stock model, with the model fields of a state row [S]."""
         model = mujoco.MjModel.__copy__(self.scene.visual)
         for slot in self.scene.layout.fields:
-            flat = getattr(model, slot.array).reshape(-1)
-            values = state[self.field_columns(slot.name)]
-            flat[slot.start : slot.start + slot.size] = values
+            write_slot(model, slot, state[self._columns[slot.name]])
         return model
 
-    def _refresh(self, worlds: Array) -> None:
-        counter = np.zeros(1, np.int64)
+    def __deepcopy__(self, memo: dict[int, Any]) -> "BatchEngine":
+        """Build another engine in the same state; both share the scene."""
+        copy = BatchEngine(self.scene, self.num_envs, self.threads)
+        copy.restore(self.save())
+        copy._before.states[:], copy._before.readings[:] = self._before[:2]
+        copy.broken[:], copy.broken_count = self.broken, self.broken_count
+        copy.changes = self.changes
+        return copy
 
-        def work(mine: ThreadData) -> None:
-            refresh_worlds(
-                mine.sim, self._plan, self.states, self._readings, worlds, counter
+    def _new_buffer(self) -> _Buffer:
+        states = np.tile(self._default, (self.num_envs, 1))
+        readings = np.zeros((self.num_envs, readings_width(self.scene)))
+        views = {
+            name: readings[:, columns]
+            for name, columns in reading_columns(self.scene).items()
+        }
+        for name, columns in self._columns.items():
+            if name not in _NOT_READ:
+                views[name] = states[:, columns]
+        return _Buffer(states, readings, read_only(views))
+
+    def _write(self, env_ids: Array, rows: Array) -> None:
+        """Set state rows and refresh their readings."""
+        with self._exclusive:
+            self.changes += 1
+            self._now.states[env_ids] = rows
+            self._refresh(env_ids)
+
+    def _fill_fields(self, rows: Array, fields: Mapping[str, Array] | None) -> None:
+        known = [slot.name for slot in self.scene.layout.fields]
+        for name, values in (fields or {}).items():
+            check_choice("model field", name, known)
+            self._fill(rows, name, values)
+
+    def _fill(self, rows: Array, name: str, values: Array) -> None:
+        """Write a part of some state rows, of the right shape [n, k]."""
+        part = rows[:, self._columns[name]]
+        _check_shape(name, values, part.shape)
+        part[:] = values
+
+    def _checked_ids(self, env_ids: Array) -> Array:
+        ids = np.asarray(env_ids)
+        whole = ids.dtype.kind in "iu" or not ids.size
+        different = ids.ndim == 1 and len(np.unique(ids)) == len(ids)
+        last = self.num_envs - 1
+        if not whole or not different or (ids < 0).any() or (ids > last).any():
+            raise UserError(
+                f"env_ids must be different whole numbers from 0 to {last}, "
+                f"not {shown(env_ids)}"
+            )
+        return ids.astype(np.int64)
+
+    def _refresh(self, env_ids: Array) -> None:
+        now, counter = self._now, np.zeros(1, np.int64)
+
+        def work(thread: ThreadData) -> None:
+            refresh_environments(
+                thread.sim, self._plan, now.states, now.readings, env_ids, counter
             )
 
-        self._share(work, len(worlds))
+        self._team.run(work, len(env_ids))
 
-    def _share(self, work: Callable[[ThreadData], None], worlds: int) -> None:
-        """Run `work` on as many threads as there are worlds for."""
-        first, *rest = self._mine[: max(1, min(self.threads, worlds))]
-        others = [self._pool.submit(work, mine) for mine in rest]
-        work(first)
-        for other in others:
-            other.result()
+
+def _check_shape(name: str, values: Array, expected: tuple[int, ...]) -> None:
+    if np.shape(values) != expected:
+        raise UserError(f"{name} has shape {np.shape(values)}, expected {expected}")
 
 
 def _plan(scene: Scene) -> Plan:
     return Plan(
         substeps=scene.substeps,
-        touch_at=sum(slot.size for slot in scene.layout.slots),
+        touch_start=touch_start(scene),
         touch_of_sensor=scene.touch_of_sensor,
-        most=np.array([touch.most for touch in scene.layout.touches]),
+        touch_limit=np.array([touch.limit for touch in scene.layout.touches]),
     )
-
-
-def _fields_at(scene: Scene) -> int:
-    model = scene.physics
-    return (
-        model.nq
-        + 2 * model.nv
-        + len(scene.layout.arm.qpos)
-        + len(scene.layout.gripper.actuator)
-    )
-
-
-def _readings_width(scene: Scene) -> int:
-    return sum(slot.size for slot in scene.layout.slots) + len(scene.layout.touches)
-
-
-def _default_state(scene: Scene) -> Array:
-    defaults = [
-        getattr(scene.physics, slot.array).ravel()[slot.start : slot.start + slot.size]
-        for slot in scene.layout.fields
-    ]
-    row = np.zeros(_fields_at(scene))
-    row[: scene.physics.nq] = scene.layout.qpos
-    start = scene.physics.nq + 2 * scene.physics.nv
-    row[start : start + len(scene.layout.arm.qpos)] = scene.layout.qpos[
-        scene.layout.arm.qpos
-    ]
-    return np.concatenate([row, *defaults, np.zeros(sum(scene.layout.memory.values()))])
-
-
-def _named_readings(scene: Scene, engine: BatchEngine) -> dict[str, Array]:
-    named, at = {}, 0
-    for slot in scene.layout.slots:
-        named[slot.name] = engine._readings[:, at : at + slot.size]
-        at += slot.size
-    for index, touch in enumerate(scene.layout.touches):
-        named[touch.name] = engine._readings[:, at + index]
-    return named
-
-
-def _state_columns(scene: Scene) -> dict[str, slice]:
-    start = scene.physics.nq + 2 * scene.physics.nv
-    command = start + len(scene.layout.arm.qpos)
-    at = command + len(scene.layout.gripper.actuator)
-    columns = {
-        "start_pos": slice(start, command),
-        "gripper_command": slice(command, at),
-    }
-    fields = {slot.name: slot.size for slot in scene.layout.fields}
-    for name, size in (*fields.items(), *scene.layout.memory.items()):
-        columns[name] = slice(at, at + size)
-        at += size
-    return columns

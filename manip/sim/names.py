@@ -4,6 +4,9 @@ import mujoco
 
 from manip.errors import unknown
 
+_COUNTS = {"joint": "njnt", "actuator": "nu", "camera": "ncam", "material": "nmat"}
+"""Kind of object -> size in MjModel, where it is not called n<kind>."""
+
 
 def lookup(model: mujoco.MjModel, kind: str, name: str) -> int:
     """Id of a named body, site, geom, ... of the model.
@@ -11,12 +14,12 @@ def lookup(model: mujoco.MjModel, kind: str, name: str) -> int:
     Raises:
         UserError: no such name; the message lists the names that exist.
     """
-    found = find(model, kind, name)
-    if found < 0:
-        count = model.njnt if kind == "joint" else getattr(model, f"n{kind}")
+    index = find(model, kind, name)
+    if index < 0:
+        count = getattr(model, _COUNTS.get(kind, f"n{kind}"))
         known = (getattr(model, kind)(i).name for i in range(count))
         raise unknown(kind, name, filter(None, known))
-    return found
+    return index
 
 
 def find(model: mujoco.MjModel, kind: str, name: str) -> int:

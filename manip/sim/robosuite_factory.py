@@ -1,31 +1,39 @@
-"""Stock robosuite environments, built quietly and with settings fit for training.
+"""Build stock robosuite environments with settings for training.
 
-The only module that imports robosuite. Its environments are the model factory of
-the batch engine and the oracle that the engine must agree with.
+The only module that imports robosuite. The batch engine compiles its scenes from these
+environments, and is tested against them.
 """
 
-import logging
-import os
 from typing import Any
 
 import numpy as np
 
+from manip.compiled import fallback_cache
 from manip.errors import check_choice
 from manip.robot_config import RobotConfig, check_robot_config
+from manip.sim.gl import keep_mujoco_gl
+from manip.sim.library_logs import quiet, quiet_robosuite
 
-logging.getLogger("robosuite_logs").addFilter(lambda r: r.levelno >= logging.ERROR)
-_gl_backend = os.environ.get("MUJOCO_GL")
-import robosuite  # noqa: E402  (the log filter must come first)
-from robosuite.controllers import load_part_controller_config  # noqa: E402
-from robosuite.controllers.composite.composite_controller_factory import (  # noqa: E402
-    refactor_composite_controller_config,
-)
-from robosuite.environments.base import REGISTERED_ENVS  # noqa: E402
-from robosuite.environments.manipulation.two_arm_env import TwoArmEnv  # noqa: E402
+# On import robosuite warns of optional packages, sets MUJOCO_GL, and fails where numba
+# cannot store compiled functions.
+with quiet(), keep_mujoco_gl(), fallback_cache("robosuite"):
+    import robosuite
+    from robosuite.controllers import load_part_controller_config
+    from robosuite.controllers.composite.composite_controller_factory import (
+        refactor_composite_controller_config,
+    )
+    from robosuite.environments.base import REGISTERED_ENVS
+    from robosuite.environments.manipulation.two_arm_env import TwoArmEnv
 
-if _gl_backend is None:
-    # robosuite sets MUJOCO_GL on import; choosing the backend is manip.sim.gl's job.
-    os.environ.pop("MUJOCO_GL", None)
+__all__ = [
+    "PANDA",
+    "PHYSICS_DT",
+    "environment_class",
+    "environment_names",
+    "make_stock",
+    "quiet_robosuite",
+    "reseed",
+]
 
 PHYSICS_DT = 0.002
 """robosuite's simulation timestep [s] (robosuite/macros.py)."""
@@ -39,18 +47,23 @@ def make_stock(
     seed: int | None = None,
     **options: Any,
 ) -> Any:
-    """Build `robosuite.make(name, robots=robot)` for headless, state-based use.
+    """Build `robosuite.make(name, robots=robot)` without rendering or cameras.
 
-    Observations come from states only and a reset keeps the compiled model; any
-    further `options` go to robosuite as they are. A two-armed environment gets two
-    arms of the kind.
+    A reset keeps the compiled model. Further `options` are passed to robosuite. A
+    two-armed environment gets two arms of the kind.
 
     Raises:
         UserError: unknown robot, controller, environment or control frequency.
     """
     check_robot_config(robot)
-    check_choice("robosuite environment", name, robosuite.ALL_ENVIRONMENTS)
-    settings = {
+    arms = 2 if issubclass(environment_class(name), TwoArmEnv) else 1
+    with quiet():
+        settings = _settings(robot, seed) | options
+        return robosuite.make(name, robots=[robot.arm] * arms, **settings)
+
+
+def _settings(robot: RobotConfig, seed: int | None) -> dict[str, Any]:
+    return {
         "has_renderer": False,
         "has_offscreen_renderer": False,
         "use_camera_obs": False,
@@ -61,20 +74,29 @@ def make_stock(
         "seed": seed,
         "ignore_done": True,
     }
-    arms = 2 if issubclass(REGISTERED_ENVS[name], TwoArmEnv) else 1
-    return robosuite.make(name, robots=[robot.arm] * arms, **(settings | options))
+
+
+def environment_class(name: str) -> type[Any]:
+    """robosuite's class of an environment.
+
+    Raises:
+        UserError: no environment of that name is registered.
+    """
+    check_choice("robosuite environment", name, robosuite.ALL_ENVIRONMENTS)
+    registered: type[Any] = REGISTERED_ENVS[name]
+    return registered
 
 
 def environment_names() -> tuple[str, ...]:
-    """Names of all robosuite environments that are registered by now."""
+    """Names of all robosuite environments that are registered at present."""
     return tuple(sorted(robosuite.ALL_ENVIRONMENTS))
 
 
-def reseed(env: Any, seed: int) -> None:
+def reseed(env: Any, seed: int | np.random.SeedSequence) -> None:
     """Restart the random stream of a stock environment, in place.
 
-    robosuite has no seed per reset: samplers hold references to `env.rng`, so its
-    bit generator's state is replaced (`GymWrapper.reset(seed)` has no effect).
+    robosuite takes no seed at a reset (`GymWrapper.reset(seed)` has no effect). Its
+    samplers hold references to `env.rng`, so the state of that generator is replaced.
     """
     env.rng.bit_generator.state = np.random.default_rng(seed).bit_generator.state
 

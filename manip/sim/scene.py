@@ -7,12 +7,16 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
+from manip.errors import UserError
 from manip.robot_config import RobotConfig
+from manip.sim.fields import physics_field_slots
+from manip.sim.names import lookup
+from manip.sim.not_copied import NotCopied
 from manip.sim.robosuite_factory import PANDA, PHYSICS_DT, make_stock
 from manip.sim.robot_model import hand_kind
 from manip.sim.scene_layout import SceneLayout, read_scene_layout
 from manip.sim.sensors import Sensors
-from manip.sim.slots import force_slots
+from manip.sim.slots import Slot, force_slots
 from manip.sim.touches import Side, Touch
 
 Array = np.ndarray
@@ -21,35 +25,70 @@ Fidelity = Literal["exact", "fast"]
 FAST_DT = 0.005
 """Timestep [s] of the fast fidelity: 10 instead of 25 substeps at 20 Hz."""
 
-_DELICATE = {"Robotiq85Gripper", "JacoThreeFingerGripper"}
-"""Grippers for which that is too long. The Robotiq's fingers press on one another, and
-with 5 ms they fly apart within a second; Jaco's lose what they hold."""
+_UNSTABLE_AT_FAST_DT = {"Robotiq85Gripper", "JacoThreeFingerGripper"}
+"""Grippers that need the exact timestep. With 5 ms the Robotiq's fingers, which press
+on one another, diverge within a second, and Jaco's drop what they hold."""
 
 ARENA_BYTES = 64 << 20
 """Memory of one MjData; robosuite reserves 1.3 GB of address space."""
 
 
 @dataclass(frozen=True)
-class Scene:
-    """A robosuite task and robot, compiled.
+class Scene(NotCopied):
+    """A robosuite task and robot, compiled. It does not change: copies share it.
 
-    physics: stock MJCF without visual geoms, with contact sensors for each touch, which
-    touch_of_sensor tells, and then sensors of forces. visual: the stock model, for
-    pictures.
+    Attributes:
+        physics: the model that is stepped: stock MJCF without visual geoms, with
+            contact sensors for the touches and then force sensors.
+        visual: the stock model, for pictures.
+        stock: the robosuite environment.
+        layout: indices, names and gains.
+        physics_fields: where the fields of `layout.fields` lie in `physics`; None for
+            those that only pictures show.
+        touch_of_sensor: for each contact sensor the touch that it belongs to.
+        substeps: simulation steps in a control period.
+        control_dt: control period [s].
     """
 
     physics: mujoco.MjModel
     visual: mujoco.MjModel
     stock: Any
     layout: SceneLayout
+    physics_fields: tuple[Slot | None, ...]
     touch_of_sensor: Array
     substeps: int
     control_dt: float
 
+    @property
+    def nq(self) -> int:
+        """Length of qpos."""
+        return int(self.physics.nq)
+
+    def geom_size(self, name: str) -> Array:
+        """Sizes [3] m of a geom of the physics model, as MuJoCo defines them by type.
+
+        Raises:
+            UserError: no such geom; the message lists the geoms that exist.
+        """
+        sizes: Array = self.physics.geom_size[lookup(self.physics, "geom", name)]
+        return sizes.copy()
+
     def free_qpos(self, name: str) -> slice:
-        """Entries of qpos that place a free body: position [3] m, quaternion wxyz."""
-        start = int(self.physics.jnt_qposadr[self.physics.body(name).jntadr[0]])
+        """Entries of qpos that place a free body: position [3] m, quaternion wxyz.
+
+        Raises:
+            UserError: no such body, or it is not on a free joint.
+        """
+        model = self.physics
+        joint = model.body_jntadr[lookup(model, "body", name)]
+        if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
+            raise UserError(f"body {name!r} is not on a free joint")
+        start = int(model.jnt_qposadr[joint])
         return slice(start, start + 7)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Scene":
+        """The scene itself."""
+        return self
 
 
 def build_scene(
@@ -57,19 +96,26 @@ def build_scene(
 ) -> Scene:
     """Compile the scene of a stock environment made by `make_stock`.
 
-    fidelity: "exact" is robosuite's own physics (2 ms); "fast" takes 5 ms steps where
-        the gripper bears them, and leaves out the collisions of the arm's links, and of
-        parked bodies with the floor, for training and sweeps.
+    Args:
+        stock: the robosuite environment.
+        sensors: what the task reads and sets.
+        control_freq: control frequency [Hz].
+        fidelity: "exact" is robosuite's own physics (2 ms); "fast", for training and
+            sweeps, steps 5 ms where the gripper stays stable, and leaves out the
+            collisions of the arm's links, and of parked bodies with the floor.
+
+    Raises:
+        UserError: a sensor names something that the environment's model lacks.
     """
     layout = read_scene_layout(stock, sensors)
-    quick = fidelity == "fast" and hand_kind(stock) not in _DELICATE
-    dt = FAST_DT if quick else PHYSICS_DT
+    coarse = fidelity == "fast" and hand_kind(stock) not in _UNSTABLE_AT_FAST_DT
+    dt = FAST_DT if coarse else PHYSICS_DT
     spec = _physics(stock, fidelity, dt)
     if fidelity == "fast":
-        _let_fall(spec, sensors.parked)
-    owners = []
+        _exclude_from_floor(spec, sensors.parked)
+    touch_of_sensor: list[int] = []
     for index, touch in enumerate(layout.touches):
-        owners += [index] * _add_touch_sensors(spec, touch)
+        touch_of_sensor += [index] * _add_touch_sensors(spec, touch)
     for site in sensors.forces.values():
         _add_force_sensor(spec, site)
     physics = spec.compile()
@@ -79,7 +125,8 @@ def build_scene(
         visual=stock.sim.model._model,
         stock=stock,
         layout=replace(layout, slots=slots),
-        touch_of_sensor=np.array(owners, dtype=np.int64),
+        physics_fields=physics_field_slots(physics, sensors.fields),
+        touch_of_sensor=np.array(touch_of_sensor, dtype=np.int64),
         substeps=round(1 / control_freq / dt),
         control_dt=1 / control_freq,
     )
@@ -94,7 +141,8 @@ def load_scene(
 ) -> Scene:
     """Build the stock environment `name` and its scene.
 
-    seed: fixes what robosuite samples at construction (Lift's cube size).
+    The seed fixes what robosuite samples at construction (Lift's cube size); the other
+    arguments are those of `make_stock` and `build_scene`.
     """
     stock = make_stock(name, robot, seed)
     return build_scene(stock, sensors, robot.control_freq, fidelity)
@@ -112,7 +160,7 @@ def _physics(stock: Any, fidelity: Fidelity, dt: float) -> mujoco.MjSpec:
 
 
 def _strip(spec: mujoco.MjSpec, stock: Any, fidelity: Fidelity) -> None:
-    """Delete what cannot touch anything, and what only such geoms used."""
+    """Delete geoms that cannot collide, and meshes that only they used."""
     prefix = stock.robots[0].robot_model.naming_prefix
     for geom in list(spec.geoms):
         of_arm = geom.parent.name.startswith(prefix)
@@ -131,14 +179,14 @@ def _strip(spec: mujoco.MjSpec, stock: Any, fidelity: Fidelity) -> None:
         spec.delete(part)
 
 
-def _let_fall(spec: mujoco.MjSpec, parked: tuple[str, ...]) -> None:
-    """Let bodies fall through the floor, where resting would cost contacts."""
+def _exclude_from_floor(spec: mujoco.MjSpec, parked: tuple[str, ...]) -> None:
+    """Let bodies fall through the floor: resting on it would cost contacts."""
     for body in parked:
         spec.add_exclude(bodyname1="world", bodyname2=body)
 
 
 def _add_touch_sensors(spec: mujoco.MjSpec, touch: Touch) -> int:
-    """Add a contact sensor a pair, which reads the contacts found; their number."""
+    """Add one contact sensor for each pair of sides; return the number of sensors."""
     geom, subtree = mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtObj.mjOBJ_XBODY
     sides = _present(spec, touch.first), _present(spec, touch.second)
     pairs = list(product(*sides))
@@ -165,7 +213,7 @@ def _add_force_sensor(spec: mujoco.MjSpec, site: str) -> None:
 
 
 def _present(spec: mujoco.MjSpec, side: Side) -> list[str]:
-    """Names of a side; of its geoms, those that the fidelity has kept."""
+    """Names of a side; of its geoms, those that are in the physics model."""
     if side.geoms:
         return [name for name in side.geoms if spec.geom(name)]
     return [side.body or ""]

@@ -1,7 +1,7 @@
-"""Where things lie in a robosuite environment: indices, names, gains.
+"""SceneLayout: indices, names and gains of a robosuite environment.
 
-Read off the environment's own objects, so that any arm, gripper and task of robosuite
-works alike, natively and in stock.
+They are read from the environment's own objects, so that every arm, gripper and task
+of robosuite works, on the batch engine and in stock robosuite.
 """
 
 from collections.abc import Mapping
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from manip.sim.fields import field_slots
 from manip.sim.robot_model import (
     NARROWEST,
     Arm,
@@ -21,7 +22,7 @@ from manip.sim.robot_model import (
     read_gripper,
 )
 from manip.sim.sensors import Sensors
-from manip.sim.slots import Slot, field_slot, robot_slots, task_slots
+from manip.sim.slots import Slot, robot_slots, task_slots
 from manip.sim.touches import Touch, read_touches
 
 Array = np.ndarray
@@ -31,10 +32,15 @@ Array = np.ndarray
 class SceneLayout:
     """Indices and gains of a robosuite environment's robot, and a task's sensors.
 
-    qpos [nq] is the pose before a reset's randomisation; finger_qpos and finger_dof
-    index it and qvel; joint_range [n, 2] is the arm's; narrowest [m] is the gap between
-    the pads of the shut gripper. `slots` are read from MjData, `fields` set in MjModel,
-    `memory` kept.
+    Attributes:
+        narrowest: gap [m] between the pads of the shut gripper.
+        qpos: [nq], the pose before a reset's randomisation.
+        joint_range: [n, 2] rad, the limits of the arm's joints.
+        finger_qpos, finger_dof: entries of qpos and qvel of the finger joints.
+        slots: readings that are entries of MjData.
+        fields: where model fields lie in the stock model.
+        touches: contacts that are flagged or counted.
+        memory: name -> length of the numbers that a task stores in an episode.
     """
 
     arm: Arm
@@ -56,7 +62,7 @@ class SceneLayout:
 
 
 def read_scene_layout(stock: Any, sensors: Sensors) -> SceneLayout:
-    """SceneLayout of a stock environment.
+    """Read the layout of a stock environment.
 
     Raises:
         UserError: a sensor names something that the environment's model lacks.
@@ -71,32 +77,38 @@ def read_scene_layout(stock: Any, sensors: Sensors) -> SceneLayout:
         finger_qpos=finger_indices(robot, "pos"),
         finger_dof=finger_indices(robot, "vel"),
         slots=(*robot_slots(stock), *task_slots(model, sensors)),
-        fields=tuple(
-            field_slot(model, name, *at) for name, at in sensors.fields.items()
-        ),
+        fields=field_slots(model, sensors.fields),
         touches=(
-            *read_touches(stock, sensors.touches, most=1.0),
-            *read_touches(stock, sensors.counts, most=np.inf),
+            *read_touches(stock, sensors.touches, limit=1.0),
+            *read_touches(stock, sensors.counts, limit=np.inf),
         ),
         memory=sensors.memory,
     )
 
 
 def with_joints(layout: SceneLayout, named: dict[str, Array]) -> dict[str, Array]:
-    """Add the readings that index others: the arm's joints and the fingers'."""
+    """Add the readings that are computed from others: joints, fingers, gripper."""
     named["joint_pos"] = named["qpos"][:, layout.arm.qpos]
     named["joint_vel"] = named["qvel"][:, layout.arm.dof]
     named["gripper_qpos"] = named["qpos"][:, layout.finger_qpos]
     named["gripper_qvel"] = named["qvel"][:, layout.finger_dof]
     named["gripper_closing"] = _closing(layout.gripper, named["gripper_command"])
-    named["gripper_speed"] = np.abs(layout.gripper.speed).max(initial=0, keepdims=True)
-    named["gripper_narrowest"] = np.array([layout.narrowest])
-    named["rest_pos"] = layout.qpos[layout.arm.qpos][None]
-    named["joint_low"], named["joint_high"] = layout.joint_range.T[:, None]
     return named
 
 
+def constant_readings(layout: SceneLayout) -> dict[str, Array]:
+    """The readings that never change: limits and default pose, gripper's properties."""
+    low, high = layout.joint_range.T[:, None]
+    return {
+        "gripper_speed": np.abs(layout.gripper.speed).max(initial=0, keepdims=True),
+        "gripper_narrowest": np.array([layout.narrowest]),
+        "rest_pos": layout.qpos[layout.arm.qpos][None],
+        "joint_low": low,
+        "joint_high": high,
+    }
+
+
 def _closing(gripper: Gripper, command: Array) -> Array:
-    """[N] in [-1, 1]: the command of all fingers in the direction that closes them."""
+    """[N] in [-1, 1]: mean command of the fingers in the direction that closes them."""
     fingers = max(1, len(gripper.speed))
     return (command * np.sign(gripper.speed)).sum(1) / fingers

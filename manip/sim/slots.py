@@ -1,4 +1,4 @@
-"""Where named readings and model fields lie in the arrays of MuJoCo."""
+"""Slots: where named readings lie in the arrays of MuJoCo."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -6,13 +6,12 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from manip.errors import unknown
 from manip.sim.names import lookup
 from manip.sim.sensors import Sensors
 
 
 class Slot(NamedTuple):
-    """A named run of entries in an array of MjData or MjModel."""
+    """A named range of entries in a flattened array of MjData or MjModel."""
 
     name: str
     array: str
@@ -21,7 +20,7 @@ class Slot(NamedTuple):
 
 
 def robot_slots(stock: Any) -> tuple[Slot, ...]:
-    """The arm's readings that need no indexing: whole state, tool pose, hand body."""
+    """Slots of every task: whole state, pose of the grip site, rotation of the hand."""
     model, robot = stock.sim.model._model, stock.robots[0]
     tool = lookup(model, "site", robot.gripper["right"].important_sites["grip_site"])
     hand = lookup(model, "body", robot.robot_model.eef_name["right"])
@@ -63,7 +62,7 @@ def _body_slots(model: mujoco.MjModel, name: str, body: int) -> list[Slot]:
 
 
 def force_slots(model: mujoco.MjModel, forces: Mapping[str, str]) -> tuple[Slot, ...]:
-    """Where a model with sensors for them keeps the forces at some sites."""
+    """Slots of the force sensors, name -> site; each site has one in the model."""
     of_kind = model.sensor_type == mujoco.mjtSensor.mjSENS_FORCE
     slots = []
     for name, site in forces.items():
@@ -78,25 +77,3 @@ def _joint_slots(model: mujoco.MjModel, name: str, joint: int) -> list[Slot]:
         Slot(f"{name}_qpos", "qpos", int(model.jnt_qposadr[joint]), 1),
         Slot(f"{name}_qvel", "qvel", int(model.jnt_dofadr[joint]), 1),
     ]
-
-
-def field_slot(model: mujoco.MjModel, name: str, array: str, target: str) -> Slot:
-    """Slot of a model field, such as ("geom_friction", "cube_g0").
-
-    Raises:
-        UserError: the array or the object does not exist.
-    """
-    kind = array.split("_")[0]
-    known = [entry for entry in dir(model) if _holds_fields(model, entry)]
-    if array not in known:
-        raise unknown("model array", array, known)
-    size = getattr(model, array)[0].size
-    return Slot(name, array, size * lookup(model, kind, target), size)
-
-
-def _holds_fields(model: mujoco.MjModel, array: str) -> bool:
-    """Whether it is an array of floats with a row for each body, geom or site."""
-    if not array.startswith(("body_", "geom_", "site_")):
-        return False
-    rows = getattr(model, array)
-    return rows.dtype == np.float64 and len(rows) > 0

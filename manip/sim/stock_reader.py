@@ -1,4 +1,4 @@
-"""Reading a stock robosuite environment as the batch engine reads its worlds."""
+"""Read a stock robosuite environment under the names that the batch engine gives."""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,21 +6,23 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip.sim.fields import read_slot
 from manip.sim.names import lookup
-from manip.sim.scene_layout import read_scene_layout, with_joints
+from manip.sim.read_only import read_only
+from manip.sim.scene_layout import constant_readings, read_scene_layout, with_joints
 from manip.sim.sensors import Sensors
-from manip.sim.slots import Slot, force_slots
+from manip.sim.slots import force_slots
 from manip.sim.touches import Side
 
 Array = np.ndarray
 
 
 def stock_reader(stock: Any, sensors: Sensors) -> Callable[[], dict[str, Array]]:
-    """A function that reads a stock environment as `BatchEngine.read` reads worlds.
+    """Build a function that reads a stock environment as `BatchEngine.read` does.
 
     Returns:
-        A function that gives the same names, for one world: arrays [1, k]. It is
-        good until a hard reset, which gives the environment a new simulation.
+        A function that returns the same names, with read-only arrays [1, k]. A hard
+        reset gives the environment a new simulation: build another reader then.
     """
     layout = read_scene_layout(stock, sensors)
     model, data = stock.sim.model._model, stock.sim.data._data
@@ -28,26 +30,22 @@ def stock_reader(stock: Any, sensors: Sensors) -> Callable[[], dict[str, Array]]
     slots = (*layout.slots, *force_slots(model, sensors.forces))
     sides = [(_geom_ids(model, t.first), _geom_ids(model, t.second)) for t in touches]
     hand = stock.robots[0].gripper["right"]
+    constants = constant_readings(layout)
 
     def read() -> dict[str, Array]:
-        named = {slot.name: _values(data, slot)[None] for slot in slots}
+        named = {slot.name: read_slot(data, slot)[None] for slot in slots}
         for slot in layout.fields:
-            named[slot.name] = _values(model, slot)[None]
+            named[slot.name] = read_slot(model, slot)[None]
         for touch, pair in zip(touches, sides, strict=True):
-            found = float(_contacts(data, *pair))
-            named[touch.name] = np.array([min(found, touch.most)])
+            contacts = float(_contacts(data, *pair))
+            named[touch.name] = np.array([min(contacts, touch.limit)])
         command = np.broadcast_to(hand.current_action, layout.gripper.speed.shape)
         named["gripper_command"] = command[None].copy()
         start = stock.robots[0].part_controllers["right"].initial_joint
         named["start_pos"] = np.array(start)[None]
-        return with_joints(layout, named)
+        return read_only(with_joints(layout, {**named, **constants}))
 
     return read
-
-
-def _values(owner: Any, slot: Slot) -> Array:
-    flat = getattr(owner, slot.array).reshape(-1)
-    return flat[slot.start : slot.start + slot.size].copy()
 
 
 def _contacts(data: mujoco.MjData, first: Array, second: Array) -> int:

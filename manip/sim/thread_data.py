@@ -1,6 +1,5 @@
-"""What one thread steps worlds in: its own model, data and scratch."""
+"""What one thread simulates in: its own model, data and scratch memory."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,41 +7,42 @@ import mujoco
 import numpy as np
 
 from manip.sim.control_laws import Work, new_work
+from manip.sim.not_copied import NotCopied
 from manip.sim.scene import Scene
+from manip.sim.sim_memory import Segments, Sim
 from manip.sim.slots import Slot
-from manip.sim.stepping import Places, Sim
 
 Array = np.ndarray
 
 
 @dataclass(frozen=True)
-class ThreadData:
-    """A thread's own MjModel and MjData, kept alive while `sim` points into them."""
+class ThreadData(NotCopied):
+    """A thread's own MjModel and MjData.
+
+    `sim` holds addresses inside the other members, which must live as long.
+    """
 
     model: mujoco.MjModel
     data: mujoco.MjData
     sim: Sim
     work: Work
+    fields: tuple[Array, ...]
 
 
 def thread_data(scene: Scene) -> ThreadData:
-    """Memory for one more thread to step worlds of the scene in."""
+    """Memory in which one more thread can step environments of the scene."""
     model = mujoco.MjModel.__copy__(scene.physics)
     data = mujoco.MjData(model)
     work = new_work(len(scene.layout.arm.dof))
     command = np.zeros(len(scene.layout.gripper.actuator))
+    fields = _fields(model, scene)
     sim = Sim(
         model=model._address,
         data=data._address,
-        state=_places(
-            data.qpos,
-            data.qvel,
-            data.qacc_warmstart,
-            work.q0,
-            command,
-            *_runs(model, scene.layout.fields),
+        state=_segments(
+            data.qpos, data.qvel, data.qacc_warmstart, work.q0, command, *fields
         ),
-        slots=_places(*_runs(data, scene.layout.slots)),
+        slots=_segments(*(_view(data, slot) for slot in scene.layout.slots)),
         command=command,
         qpos=data.qpos,
         qvel=data.qvel,
@@ -53,18 +53,26 @@ def thread_data(scene: Scene) -> ThreadData:
         com=data.subtree_com,
         site_xpos=data.site_xpos,
         site_xmat=data.site_xmat,
-        found=data.sensordata,
+        contacts=data.sensordata,
     )
-    return ThreadData(model, data, sim, work)
+    return ThreadData(model, data, sim, work, tuple(fields))
 
 
-def _runs(owner: Any, slots: tuple[Slot, ...]) -> Iterator[Array]:
-    """Views of the entries that the slots name."""
-    for slot in slots:
-        flat = getattr(owner, slot.array).reshape(-1)
-        yield flat[slot.start : slot.start + slot.size]
+def _fields(model: mujoco.MjModel, scene: Scene) -> list[Array]:
+    """Where each model field is set: in the model, or in memory that nothing reads."""
+    return [
+        np.zeros(visual.size) if physics is None else _view(model, physics)
+        for visual, physics in zip(
+            scene.layout.fields, scene.physics_fields, strict=True
+        )
+    ]
 
 
-def _places(*runs: Array) -> Places:
+def _view(owner: Any, slot: Slot) -> Array:
+    flat: Array = getattr(owner, slot.array).reshape(-1)
+    return flat[slot.start : slot.start + slot.size]
+
+
+def _segments(*runs: Array) -> Segments:
     addresses = [run.ctypes.data for run in runs]
-    return Places(np.array(addresses, np.int64), np.array([run.size for run in runs]))
+    return Segments(np.array(addresses, np.int64), np.array([run.size for run in runs]))

@@ -1,4 +1,4 @@
-"""Contacts that a task senses: pairs of sides, each a set of geoms or a body."""
+"""Contacts that a task reads: pairs of sides, each a set of geoms or a body."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
@@ -17,27 +17,27 @@ lacks (models/grippers/xarm7_gripper.py); its own grasp test never fires there."
 
 
 class Side(NamedTuple):
-    """One side of a contact: geoms by name, or a body with all below it."""
+    """One side of a contact: geoms by name, or a body with all bodies below it."""
 
     geoms: tuple[str, ...]
     body: str | None
 
 
 class Touch(NamedTuple):
-    """A named number of contacts between two sides, or a flag: of them, `most` 1."""
+    """A named number of contacts between two sides, at most `limit`; 1 for a flag."""
 
     name: str
     first: Side
     second: Side
-    most: float
+    limit: float
 
 
 def read_touches(
-    stock: Any, named: Mapping[str, tuple[str, str]], most: float
+    stock: Any, named: Mapping[str, tuple[str, str]], limit: float
 ) -> Iterator[Touch]:
-    """The touches that a task names, resolved in a robosuite environment."""
+    """Find the touches that a task names in a robosuite environment."""
     for name, (first, second) in named.items():
-        yield Touch(name, _side(stock, first), _side(stock, second), most)
+        yield Touch(name, _side(stock, first), _side(stock, second), limit)
 
 
 def _side(stock: Any, name: str) -> Side:

@@ -8,8 +8,9 @@ from pathlib import Path
 from manip.agents.ppo import PPOConfig
 from manip.errors import UserError
 from manip.training.config import TrainConfig, recipe, recorded
+from manip.training.run import train_or_resume
 from manip.training.run_logs import read_metrics
-from manip.training.trainer import begin_or_resume
+from manip.training.terminal import TerminalProgress
 
 EPOCHS = (1, 5, 20)
 """PPO's passes over a rollout that are compared."""
@@ -98,8 +99,9 @@ def _evaluations_of(run: TrainConfig, variant: str) -> list[Evaluation]:
     rows = _read(run, variant)
     if rows and rows[-1].env_steps >= run.steps:
         return rows
-    if not begin_or_resume(run).run():
-        raise KeyboardInterrupt
+    with TerminalProgress() as progress:
+        if not train_or_resume(run, callback=progress).finished:
+            raise KeyboardInterrupt
     return _read(run, variant)
 
 

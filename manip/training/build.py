@@ -1,45 +1,23 @@
-"""From options to the parts of a run."""
+"""Build the parts of a run from its options: environments, agent, policy."""
 
-from dataclasses import replace
 from typing import Any
 
 import torch
 
-from manip.agents.a2c import A2C, A2CConfig
-from manip.agents.a3c import A3C, A3CConfig
 from manip.agents.agent import Agent, Spaces
-from manip.agents.bc import BC, BCConfig
-from manip.agents.dqn import DQN, DQNConfig
 from manip.agents.networks import RunningNorm, widths_of
 from manip.agents.policy import Policy, PolicyCard, load_policy
-from manip.agents.ppo import PPO, PPOConfig
-from manip.agents.ppo_kl import PPOKL, PPOKLConfig
-from manip.agents.reinforce import Reinforce, ReinforceConfig
-from manip.agents.sac import SAC, SACConfig
-from manip.agents.td3 import TD3, TD3Config
-from manip.agents.trpo import TRPO, TRPOConfig
+from manip.agents.ppo_kl import PPOKLConfig
+from manip.agents.registry import load_algorithm
 from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
-from manip.envs.backends.external_batch import ExternalTask
+from manip.envs.external_task import ExternalTask
 from manip.envs.make_batch import make_batch
 from manip.envs.task_registry import load_task
 from manip.errors import UserError
-from manip.training.config import TrainConfig
+from manip.training.config import SCALE, TrainConfig
+from manip.training.reward_weights import parse_weights
 from manip.versions import versions
-
-AGENTS: dict[type, Any] = {
-    ReinforceConfig: Reinforce,
-    A2CConfig: A2C,
-    A3CConfig: A3C,
-    TRPOConfig: TRPO,
-    PPOConfig: PPO,
-    PPOKLConfig: PPOKL,
-    DQNConfig: DQN,
-    TD3Config: TD3,
-    SACConfig: SAC,
-    BCConfig: BC,
-}
-"""Options of an algorithm -> its agent."""
 
 EVAL_SEED = 1_000_000
 """Added to a run's seed for its evaluations: episodes it never trains on."""
@@ -49,35 +27,47 @@ WORKER_SEED = 10_000_000
 
 
 def training_envs(config: TrainConfig) -> list[TaskEnv]:
-    """The worlds that a run learns from: a share of them for each of its workers.
+    """Build the environments that a run learns from, a group for each worker.
 
     Raises:
-        UserError: a script is to be imitated in another action space than its own;
-            workers cannot share the worlds evenly.
+        UserError: experts act in another action space; num_envs does not split evenly
+            over the workers; a rollout does not fit the replay buffer.
     """
     if imitates(config) and config.controller != "OSC_POSE":
         raise UserError(
-            f"scripts give OSC_POSE actions, not {config.controller}: choose another "
+            f"experts give OSC_POSE actions, not {config.controller}: choose another "
             f"algorithm than {config.algo}"
         )
-    workers = getattr(config.agent, "workers", 1)
+    workers = config.agent.workers
     if config.num_envs % workers:
         raise UserError(
-            f"num_envs is {config.num_envs}, which {workers} workers cannot share "
-            "evenly"
+            f"num_envs {config.num_envs} does not split evenly over {workers} workers"
         )
+    _check_buffer(config)
     return [_training_env(config, worker, workers) for worker in range(workers)]
 
 
+def _check_buffer(config: TrainConfig) -> None:
+    capacity = getattr(config.agent, "buffer_size", None)
+    length = getattr(config.agent, "rollout_length", 1)
+    if capacity is not None and capacity < config.num_envs * length:
+        raise UserError(
+            f"agent.buffer_size {capacity} is smaller than a rollout of "
+            f"{config.num_envs} environments x {length} steps"
+        )
+
+
 def imitates(config: TrainConfig) -> bool:
-    """Whether a run learns from a task's script."""
-    return bool(AGENTS[type(config.agent)].imitates)
+    """Whether a run learns from the actions of the task's expert."""
+    return load_algorithm(config.algo).imitates
 
 
 def _training_env(config: TrainConfig, worker: int, workers: int) -> TaskEnv:
+    weights = parse_weights(config.reward_weights)
     env = _env(
         config,
         config.num_envs // workers,
+        **({"reward_weights": weights} if weights else {}),
         expert=imitates(config),
         fidelity=config.fidelity,
         threads=max(1, share_threads(config)[0] // workers),
@@ -92,7 +82,7 @@ def _training_env(config: TrainConfig, worker: int, workers: int) -> TaskEnv:
 
 
 def evaluation_env(config: TrainConfig) -> TaskEnv:
-    """The worlds that a run is judged in: exact physics, the task's own horizon."""
+    """Build the environments of evaluations: exact physics, the task's own horizon."""
     seed = config.seed + EVAL_SEED
     return _env(config, config.eval_episodes, threads=config.threads, seed=seed)
 
@@ -108,42 +98,55 @@ def _env(
 
 
 def build_agent(config: TrainConfig, env: TaskEnv) -> Agent:
-    """The algorithm, with networks that fit the environment."""
+    """Build the algorithm, with networks that fit the environment.
+
+    Raises:
+        UserError: an option does not fit the environment.
+    """
     torch.manual_seed(config.seed)
     spaces = Spaces(
         env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]
     )
-    options = config.agent
-    if config.controller != "OSC_POSE" and not isinstance(options, BCConfig):
-        options = replace(options, action_scale=())
-    if isinstance(options, PPOKLConfig) and options.reference is not None:
-        _check_reference(options.reference, config, env)
-    agent: Agent = AGENTS[type(options)](options, spaces, share_threads(config)[1])
-    return agent
+    _check_scale(config, spaces.action_dim)
+    if isinstance(config.agent, PPOKLConfig) and config.agent.reference is not None:
+        _check_reference(config.agent.reference, config, env)
+    algorithm = load_algorithm(config.algo)
+    native = algorithm.has_native_gradients
+    source = {"gradients": config.gradients} if native else {}
+    return algorithm(config.agent, spaces, share_threads(config)[1], **source)
+
+
+def _check_scale(config: TrainConfig, action_dim: int) -> None:
+    scale = getattr(config.agent, SCALE, ())
+    if len(scale) not in (0, action_dim):
+        raise UserError(
+            f"agent.action_scale has {len(scale)} numbers, but {config.controller} of "
+            f"{config.robot} has actions of {action_dim}: give {action_dim}, or none"
+        )
 
 
 def _check_reference(folder: str, config: TrainConfig, env: TaskEnv) -> None:
-    """A reference acts where the run does: it sees and moves the same."""
+    """Raise `UserError` unless a reference has the run's observations and actions."""
     card = load_policy(folder).card
     env.batch.check_layout(card.layout)
     for name in ("robot", "controller", "control_freq"):
-        theirs, mine = getattr(card, name), getattr(config, name)
-        if theirs != mine:
+        trained, wanted = getattr(card, name), getattr(config, name)
+        if trained != wanted:
             raise UserError(
-                f"the policy in {folder} was trained with {name} {theirs}, not {mine}: "
-                "it is no reference for this run"
+                f"the policy in {folder} was trained with {name} {trained}, not "
+                f"{wanted}: it is no reference for this run"
             )
 
 
 def overlaps(config: TrainConfig) -> bool:
     """Whether simulation and learning run at the same time."""
-    return config.overlap and bool(AGENTS[type(config.agent)].off_policy)
+    return config.overlap and load_algorithm(config.algo).off_policy
 
 
 def share_threads(config: TrainConfig) -> tuple[int, int]:
-    """Threads of the training worlds and of the learner.
+    """Return the number of threads of the training environments and of the learner.
 
-    Half each where both run at the same time: on two cores, splitting every batch over
+    Half each where both run at the same time: on two cores, splitting each batch over
     two threads that compete with the simulation's takes 1.2 times as long.
     """
     threads = config.threads or usable_cpus()
@@ -153,7 +156,7 @@ def share_threads(config: TrainConfig) -> tuple[int, int]:
 
 
 def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Policy:
-    """The agent's policy as it is now, with all that an evaluator needs."""
+    """Return the agent's present policy, with all that an evaluator needs."""
     layout = env.batch.layout
     card = PolicyCard(
         task=config.task,

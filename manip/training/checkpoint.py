@@ -1,30 +1,27 @@
-"""A run's whole state in one file, so that it goes on where it stopped."""
+"""Checkpoint files of a run, and when they are written."""
 
 import time
 import warnings
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
-import torch
-
-from manip.agents.agent import Agent
-from manip.errors import DamagedError, UserError, one_line
+from manip.errors import DamagedError, UserError
 from manip.io.atomic_files import link_file
 from manip.io.tensor_trees import load_tree, save_tree
-from manip.training.collector import Collector
 
-FORMAT = 6
+FORMAT = 7
 """Version of the checkpoint file; raised when it changes incompatibly."""
 
 SAVING_SHARE = 0.05
-"""Checkpoints on the way may take this part of a run's time."""
+"""Largest part of a run's time that checkpoints between evaluations may take."""
 
 
 class Checkpoints:
     """The checkpoints of a run folder: the latest, the one before it, and the best.
 
-    A checkpoint is written once, and then has several names: the best is the latest,
-    too, when it is new, and the latest becomes the previous.
+    A checkpoint is written once and may have several names (hard links): a new best one
+    is also the latest, and the latest later becomes the previous.
     """
 
     def __init__(self, run: Path) -> None:
@@ -35,14 +32,14 @@ class Checkpoints:
         self._latest_is_whole = False
 
     def exist(self) -> bool:
-        """Whether there is anything to resume from."""
+        """Whether there is a checkpoint to resume from."""
         return any(path.is_file() for path in (self.latest, self.previous, self.best))
 
-    def save(self, state: dict[str, Any], best: bool) -> None:
-        """Write a state as the latest, and call it the best, too, if it is."""
+    def save(self, state: dict[str, Any], best: bool = False) -> None:
+        """Write a state as the latest checkpoint, and also as the best one if it is."""
         if self._latest_is_whole:
             link_file(self.latest, self.previous)
-        if best:  # first, as a run that goes on from the latest finds no better
+        if best:  # first, as a run resumed from the latest would not find it better
             save_tree(self.best, state)
             link_file(self.best, self.latest)
         else:
@@ -50,10 +47,10 @@ class Checkpoints:
         self._latest_is_whole = True
 
     def load(self) -> dict[str, Any]:
-        """The newest state that is whole; warns of newer ones that are not.
+        """Read the newest undamaged state; warn of damaged newer ones.
 
         Raises:
-            UserError: there is none, or it was written by another version.
+            UserError: there is none, or another version wrote it.
         """
         damaged = None
         for path in (self.latest, self.previous, self.best):
@@ -62,92 +59,67 @@ class Checkpoints:
                     return self._checked(path, load_tree(path))
                 except DamagedError as error:
                     damaged = damaged or error
-                    warnings.warn(f"{error}; trying the one before", stacklevel=2)
-        raise damaged or UserError(f"nothing to resume: there is no {self.latest}")
+                    warnings.warn(
+                        f"{error}; trying the checkpoint before", stacklevel=2
+                    )
+        raise damaged or UserError(
+            f"nothing to resume: there is no checkpoint in {self.latest.parent}"
+        )
 
     def _checked(self, path: Path, state: Any) -> dict[str, Any]:
-        found = state.get("format") if isinstance(state, dict) else None
-        if found != FORMAT:
-            raise UserError(f"{path} has format {found}, this version reads {FORMAT}")
+        version = state.get("format") if isinstance(state, dict) else None
+        if version != FORMAT:
+            raise UserError(f"{path} has format {version}, this version reads {FORMAT}")
         self._latest_is_whole = path == self.latest
         checked: dict[str, Any] = state
         return checked
 
 
-def state_of(agent: Agent, collector: Collector, buffer: bool) -> dict[str, Any]:
-    """Everything that the coming steps depend on: agent, worlds, random state.
+class SaveTimer:
+    """When the next checkpoint is due, and how long the last one took.
+
+    Used as a context manager around the writing of a checkpoint.
 
     Args:
-        buffer: with what the agent has stored of old rollouts.
-    """
-    return {
-        "format": FORMAT,
-        "modules": {name: m.state_dict() for name, m in agent.modules().items()},
-        "optimisers": {n: o.state_dict() for n, o in agent.optimisers().items()},
-        "agent": agent.extra_state(buffer),
-        "collector": collector.save_state(),
-        "torch_rng": torch.get_rng_state(),
-    }
-
-
-def restore(state: dict[str, Any], agent: Agent, collector: Collector) -> None:
-    """Put back what `state_of` gave.
-
-    Raises:
-        UserError: the state is of other networks or worlds.
-    """
-    try:
-        for name, module in agent.modules().items():
-            module.load_state_dict(state["modules"][name])
-        for name, optimiser in agent.optimisers().items():
-            optimiser.load_state_dict(state["optimisers"][name])
-        agent.load_extra_state(state["agent"])
-        collector.load_state(state["collector"])
-        torch.set_rng_state(state["torch_rng"])
-    except Exception as error:  # whatever a file of another kind may lead to
-        raise UserError(
-            f"the checkpoint is of another configuration: {one_line(error)}"
-        ) from error
-
-
-class Saving:
-    """When to save next, and what it costs.
-
-    Args:
-        every: seconds between checkpoints; more where those take long.
+        every: seconds between checkpoints; more where writing takes long.
 
     Attributes:
-        buffer: bytes of the replay buffer in the last checkpoint.
+        buffer_bytes: size of the replay buffer in the last checkpoint.
     """
 
-    buffer = 0
+    buffer_bytes = 0
 
     def __init__(self, every: float) -> None:
         self._every = every
         self._ended = time.monotonic()
-        self._took = 0.0
+        self._duration = 0.0
 
     def due(self) -> bool:
         """Whether it is time for the next checkpoint."""
-        wait = max(self._every, self._took / SAVING_SHARE)
+        wait = max(self._every, self._duration / SAVING_SHARE)
         return time.monotonic() - self._ended > wait
 
-    def cost(self, path: Path) -> str:
+    def describe(self, path: Path) -> str:
         """Size and time of the last checkpoint, in words."""
-        size, buffer = path.stat().st_size / 2**20, self.buffer / 2**20
-        part = f" ({buffer:,.1f} of them the replay buffer: --no-save-buffer)"
+        size, buffer = path.stat().st_size / 2**20, self.buffer_bytes / 2**20
+        part = f" (replay buffer: {buffer:,.1f} MiB; leave it out: --no-save-buffer)"
         whole = f"checkpoint: {size:,.1f} MiB{part if buffer > size / 10 else ''}"
-        return f"{whole}, written in {self._took:.1f} s"
+        return f"{whole}, written in {self._duration:.1f} s"
 
     def __enter__(self) -> None:
         self._began = time.monotonic()
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._ended = time.monotonic()
-        self._took = self._ended - self._began
+        self._duration = self._ended - self._began
 
 
-def size_of(buffer: Any) -> int:
-    """Bytes of a tensor, or of all in a dict; 0 for None."""
+def bytes_of(buffer: Any) -> int:
+    """Bytes of a tensor, or of all tensors in a dict; 0 for None."""
     tensors = buffer.values() if isinstance(buffer, dict) else [buffer]
     return sum(tensor.nbytes for tensor in tensors if tensor is not None)

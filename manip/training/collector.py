@@ -1,4 +1,4 @@
-"""Collecting experience: the worlds move on where they stopped, also while learning."""
+"""Collecting experience: episodes continue from one rollout to the next."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -9,125 +9,186 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torchrl.envs import EnvBase
 
 from manip.agents.agent import Agent
 from manip.envs.adapters.torchrl import TaskEnv
+from manip.errors import UserError
 from manip.evaluation.episodes import Episode, EpisodeTracker
+from manip.rewards.reward_function import RewardFunction
 
 
 @dataclass(frozen=True)
 class Experience:
-    """What an agent learns from at once, and how it came about.
+    """A rollout as the agent learns from it.
 
-    batch: as `Agent.process_rollout` gave it; steps: control steps it took; episodes: those that
-    ended in it.
+    Attributes:
+        batch: what `Agent.process_rollout` returned.
+        steps: control steps of the rollout, all environments together.
+        episodes: episodes that ended in it.
+        reward_terms: mean of each raw reward term over the rollout's steps.
     """
 
     batch: TensorDictBase
     steps: int
     episodes: list[Episode]
+    reward_terms: list[float]
 
 
 class Rollout:
-    """Steps an environment with a policy; episodes go on across calls.
+    """Steps an environment with a policy; episodes continue across calls.
 
-    Ten lines instead of torchrl.collectors.Collector, because where the worlds stand
-    must be saved and restored for a run to resume.
+    torchrl.collectors.Collector cannot save and restore where the environments stand,
+    which a run needs to resume exactly.
     """
 
-    def __init__(self, env: EnvBase) -> None:
+    def __init__(self, env: TaskEnv) -> None:
         self._env = env
         self.tracker = EpisodeTracker(env.batch_size[0])
         self.state = env.reset()
 
     def collect(self, policy: TensorDictModuleBase, length: int) -> Experience:
-        """The next `length` steps of all worlds, a batch [N, T]."""
+        """Step all environments `length` times; the batch is [N, T]."""
         steps, episodes = [], []
         for _ in range(length):
             step, self.state = self._env.step_and_maybe_reset(policy(self.state))
             episodes += self.tracker.update(step["next"])
             steps.append(step)
-        batch = torch.stack(steps, 1)
-        return Experience(batch, batch.numel(), episodes)
+        batch: TensorDictBase = torch.stack(steps, 1)
+        terms = batch["next", "reward_terms"].mean((0, 1)).tolist()
+        return Experience(batch, batch.numel(), episodes, terms)
+
+    def example(self, policy: TensorDictModuleBase, length: int) -> Experience:
+        """An experience of zeros with the keys, shapes and dtypes of `collect`'s."""
+        step = policy(self._env.fake_tensordict())
+        batch: TensorDictBase = torch.stack([step] * length, 1)
+        terms = [0.0] * batch["next", "reward_terms"].shape[-1]
+        return Experience(batch, batch.numel(), [], terms)
+
+    def load(self, tracker: dict[str, Any]) -> None:
+        """Restore the episodes under way, after the environments were restored."""
+        self.tracker.load_state(tracker)
+        self.state = self._env.observe()
 
 
 class Collector:
-    """Rollouts for an agent, one after the other, each with its policy of that time.
+    """Rollouts for an agent, each with the agent's policy at the time it starts.
 
-    With several environments their rollouts are under way side by side, and are taken
-    in turns. With `ahead`, the next rollout is under way while the agent learns from
-    the last one. Either way a policy is a fixed number of updates old, however fast
-    whoever is, so that a run still repeats itself bit for bit.
+    Several environment batches are stepped side by side, and their rollouts taken in
+    turns. With `ahead`, the next rollout is collected while the agent learns from the
+    last one. In both cases a policy is a fixed number of updates old, whatever the
+    speed of the threads, so that a run repeats bit for bit.
+
+    Args:
+        reward: computes the reward that the agent learns from, on the thread that
+            collects.
     """
 
-    def __init__(self, envs: Sequence[TaskEnv], agent: Agent, ahead: bool) -> None:
+    def __init__(
+        self,
+        envs: Sequence[TaskEnv],
+        agent: Agent,
+        ahead: bool,
+        reward: RewardFunction,
+    ) -> None:
         self._envs, self._agent, self._ahead = envs, agent, ahead
+        self._reward = reward
         self._rollouts = [Rollout(env) for env in envs]
         self._pool = ThreadPoolExecutor(len(envs), "manip-collect")
-        self._under_way: deque[Future[Experience]] = deque()
+        self._pending: deque[Future[Experience]] = deque()
         self._turn = 0
 
     def next(self) -> Experience:
-        """The next rollout, as soon as it is there."""
-        self._begin()
-        found = self._under_way.popleft().result()
+        """Wait for the next rollout and return it."""
+        self._submit()
+        experience = self._pending.popleft().result()
         if self._ahead:
-            self._begin()
-        return found
+            self._submit()
+        return experience
 
-    def _begin(self) -> None:
-        """Let every environment be under way."""
-        while len(self._under_way) < len(self._envs):
+    def close(self) -> None:
+        """Wait for rollouts under way, and end the threads."""
+        self._pool.shutdown(cancel_futures=True)
+
+    def example(self) -> Experience:
+        """An experience of zeros with the keys, shapes and dtypes of `next`'s."""
+        policy = self._agent.policy()
+        experience = self._rollouts[0].example(policy, self._agent.rollout_length)
+        batch = self._agent.process_rollout(policy, experience.batch)
+        return replace(experience, batch=batch)
+
+    def _submit(self) -> None:
+        """Start rollouts until every environment batch has one under way."""
+        while len(self._pending) < len(self._envs):
             rollout = self._rollouts[self._turn % len(self._envs)]
             job = self._pool.submit(self._collect, rollout, self._agent.policy())
-            self._under_way.append(job)
+            self._pending.append(job)
             self._turn += 1
 
     def _collect(self, rollout: Rollout, policy: TensorDictModuleBase) -> Experience:
-        found = rollout.collect(policy, self._agent.rollout_length)
-        return replace(found, batch=self._agent.process_rollout(policy, found.batch))
+        experience = rollout.collect(policy, self._agent.rollout_length)
+        _set_reward(experience.batch, self._reward)
+        batch = self._agent.process_rollout(policy, experience.batch)
+        return replace(experience, batch=batch)
 
     def save_state(self) -> dict[str, Any]:
-        """TaskBatch, episodes under way, and the rollouts that nobody has learned from."""
-        waiting = [_plain(job.result()) for job in self._under_way]
+        """Environments, episodes under way, and rollouts not yet learned from."""
+        pending = [plain(job.result()) for job in self._pending]
         return {
             "envs": [env.batch.save_state() for env in self._envs],
             "trackers": [rollout.tracker.save_state() for rollout in self._rollouts],
             "turn": self._turn,
-            "waiting": waiting,
+            "pending": pending,
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """Put back what `save_state` gave.
+        """Restore what `save_state` returned.
 
         Raises:
-            ValueError: the state is of other worlds.
+            ValueError: the state is of other environments.
         """
         saved = zip(state["envs"], state["trackers"], strict=True)
-        for env, rollout, (worlds, tracker) in zip(
+        for env, rollout, (batch, tracker) in zip(
             self._envs, self._rollouts, saved, strict=True
         ):
-            env.batch.load_state(worlds)
-            rollout.tracker.load_state(tracker)
-            rollout.state = env.observe()
+            env.batch.load_state(batch)
+            rollout.load(tracker)
         self._turn = state["turn"]
-        self._under_way.clear()
-        for plain in state["waiting"]:
-            self._under_way.append(Future())
-            self._under_way[-1].set_result(_experience(plain))
+        self._pending.clear()
+        for values in state["pending"]:
+            self._pending.append(Future())
+            self._pending[-1].set_result(_from_dict(values))
 
 
-def _plain(found: Experience) -> dict[str, Any]:
+def _set_reward(batch: TensorDictBase, reward: RewardFunction) -> None:
+    """Replace the reward [N, T, 1] of a rollout.
+
+    Raises:
+        UserError: the function returns another shape, or numbers that are not finite.
+    """
+    value, expected = reward(batch), batch["next", "reward"]
+    if not isinstance(value, torch.Tensor) or value.shape != expected.shape:
+        shape = list(getattr(value, "shape", ()))
+        raise UserError(
+            f"the reward function returned {type(value).__name__} {shape}, not a "
+            f"tensor {list(expected.shape)}"
+        )
+    if not value.isfinite().all():
+        raise UserError("the reward function returned numbers that are not finite")
+    batch["next", "reward"] = value.detach().to(expected.dtype)
+
+
+def plain(experience: Experience) -> dict[str, Any]:
+    """An experience as plain values and tensors."""
     return {
-        "batch": found.batch.to_dict(),
-        "dimensions": found.batch.batch_dims,
-        "steps": found.steps,
-        "episodes": [asdict(episode) for episode in found.episodes],
+        "batch": experience.batch.to_dict(),
+        "dimensions": experience.batch.batch_dims,
+        "steps": experience.steps,
+        "episodes": [asdict(episode) for episode in experience.episodes],
+        "reward_terms": experience.reward_terms,
     }
 
 
-def _experience(plain: dict[str, Any]) -> Experience:
-    batch = TensorDict(plain["batch"]).auto_batch_size_(plain["dimensions"])
-    episodes = [Episode(**episode) for episode in plain["episodes"]]
-    return Experience(batch, plain["steps"], episodes)
+def _from_dict(values: dict[str, Any]) -> Experience:
+    batch = TensorDict(values["batch"]).auto_batch_size_(values["dimensions"])
+    episodes = [Episode(**episode) for episode in values["episodes"]]
+    return Experience(batch, values["steps"], episodes, values["reward_terms"])

@@ -1,56 +1,22 @@
-"""Options of a training run, and the recipes that set them per task."""
+"""Options of a training run, and the recipes that set them for each task."""
 
 import dataclasses
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-import yaml
-
-from manip.agents.a2c import A2CConfig
-from manip.agents.a3c import A3CConfig
-from manip.agents.bc import BCConfig
-from manip.agents.dqn import DQNConfig
-from manip.agents.ppo import PPOConfig
-from manip.agents.ppo_kl import PPOKLConfig
-from manip.agents.reinforce import ReinforceConfig
-from manip.agents.sac import SACConfig
-from manip.agents.td3 import TD3Config
-from manip.agents.trpo import TRPOConfig
+from manip.agents.agent import AgentConfig
+from manip.agents.registry import check_algorithm_origin, load_algorithm
 from manip.envs.task_registry import task_names
-from manip.errors import UserError, one_line, unknown
+from manip.errors import UserError, shown
 from manip.io.dataclass_values import build
+from manip.io.option_ranges import COUNT, NUMBER, SHARE, Range, check_options
+from manip.io.yaml_files import read_yaml
 from manip.robot_config import RobotConfig
 from manip.sim.scene import Fidelity
-from manip.training.option_ranges import check_options
-
-AgentConfig = (
-    ReinforceConfig
-    | A2CConfig
-    | A3CConfig
-    | TRPOConfig
-    | PPOConfig
-    | PPOKLConfig
-    | DQNConfig
-    | TD3Config
-    | SACConfig
-    | BCConfig
-)
-ALGORITHMS: dict[str, type[AgentConfig]] = {
-    "reinforce": ReinforceConfig,
-    "a2c": A2CConfig,
-    "a3c": A3CConfig,
-    "trpo": TRPOConfig,
-    "ppo": PPOConfig,
-    "ppo-kl": PPOKLConfig,
-    "dqn": DQNConfig,
-    "td3": TD3Config,
-    "sac": SACConfig,
-    "bc": BCConfig,
-}
-"""Algorithm name -> its options."""
+from manip.training.reward_weights import parse_weights
 
 Controller = Literal["OSC_POSE", "OSC_POSITION", "JOINT_POSITION", "JOINT_VELOCITY"]
 
@@ -59,65 +25,88 @@ MAY_CHANGE = {
     *("eval_every", "eval_episodes", "checkpoint_every", "faults"),
     "save_buffer",
 }
-"""Options that a run may go on with changed: the others made it what it is."""
+"""Options that may change when a run is resumed; the others made it what it is."""
+
+SCALE = "action_scale"
+"""Option whose length is that of the controller's action."""
+
+RENAMED = {"num_worlds": "num_envs", "own_starts": "restart_fraction"}
+"""Old name of an option -> its present name."""
 
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Train a policy on the batch engine, from a tuned recipe."""
+    """Train a policy on the batch engine; a tuned recipe sets the defaults."""
 
     task: str = "Lift"
-    """Task to learn (see `manip list`), or package.module:Task."""
+    """Task to learn (see `manip list`), or package.module:Class."""
     algo: str = "sac"
-    """Algorithm (see `manip list`)."""
+    """Algorithm (see `manip list`), or package.module:Class."""
     robot: str = "Panda"
-    """Arm (see `manip list`)."""
+    """Robot arm (see `manip list`)."""
     controller: Controller = "OSC_POSE"
     """Action space, as robosuite defines it (JOINT_VELOCITY: dm_control only)."""
-    seed: int = 0
-    """Seed of the worlds, the network and the exploration."""
+    seed: Annotated[int, Range(0, 2**32 - 1)] = 0
+    """Seed of the environments, the networks and the exploration."""
     out: Path | None = None
     """Run folder; runs/<task>-<algo>-<seed> unless given."""
     resume: bool = False
     """Continue the run in the run folder from its latest checkpoint."""
-    steps: int = 100_000
-    """Control steps to train for, all worlds together."""
-    num_envs: int = 32
-    """TaskBatch that are simulated side by side."""
-    horizon: int | None = None
+    steps: Annotated[int, COUNT] = 100_000
+    """Control steps to train for, all environments together."""
+    num_envs: Annotated[int, COUNT] = 32
+    """Environments that are simulated side by side."""
+    horizon: Annotated[int | None, COUNT] = None
     """Length of a training episode [control steps]; the task's own unless given."""
-    control_freq: int = 20
+    control_freq: Annotated[int, COUNT] = 20
     """Control frequency [Hz]."""
     fidelity: Fidelity = "fast"
-    """Physics while training; evaluation is always exact."""
+    """Physics of training; evaluation always uses exact physics."""
     reward: Literal["shaped", "stock"] = "shaped"
-    """Reward set: ours, or robosuite's own shaped reward."""
-    restart_fraction: float = 0.0
-    """Share of the training episodes that begin where an earlier one has been."""
-    cool_down: float = 0.0
-    """Last share of the steps, in which learning rates fall linearly to zero."""
-    threads: int | None = None
+    """Reward set: manip's own, or robosuite's shaped reward."""
+    reward_weights: tuple[str, ...] = ()
+    """Weights that replace the reward set's own, as in `lift=0.6 reach=0.1`."""
+    restart_fraction: Annotated[float, SHARE] = 0.0
+    """Fraction of training episodes that start from a previously visited state."""
+    cool_down: Annotated[float, SHARE] = 0.0
+    """Last fraction of the steps, in which learning rates fall linearly to zero.
+
+    It is a fraction of --steps: a finished run that is resumed with more steps starts
+    again at the full learning rates."""
+    threads: Annotated[int | None, COUNT] = None
     """Threads of physics and learner; the CPUs this process may use unless given."""
+    gradients: Literal["native", "torchrl"] = "native"
+    """Gradients of SAC and PPO: compiled code that is compared with TorchRL's losses at
+    the start and now and then (native), or those losses with autograd (torchrl). All
+    other algorithms always learn through TorchRL's losses."""
     overlap: bool = True
-    """Simulate and learn at the same time where the algorithm allows (SAC)."""
-    eval_every: int = 10_000
+    """Simulate and learn at the same time (off-policy algorithms only)."""
+    eval_every: Annotated[int, COUNT] = 10_000
     """Control steps between evaluations."""
-    eval_episodes: int = 32
-    """Episodes an evaluation."""
+    eval_episodes: Annotated[int, COUNT] = 32
+    """Episodes per evaluation."""
     faults: Literal["survive", "stop"] = "survive"
-    """Numbers that go wrong cost an episode or an update (survive), or end the run."""
+    """A number that is not finite ends an episode or skips an update (survive), or
+    ends the run (stop)."""
     save_buffer: bool = True
-    """Checkpoints hold the replay buffer; without it, a resumed run fills it anew."""
-    checkpoint_every: float = 60.0
-    """Seconds between checkpoints (one is written at every evaluation, too)."""
+    """Save the replay buffer in checkpoints; without it, a resumed run refills it."""
+    checkpoint_every: Annotated[float, NUMBER] = 60.0
+    """Seconds between checkpoints; each evaluation also writes one."""
     wandb: str | None = None
     """Log to this Weights & Biases project as well (needs the `wandb` extra)."""
-    agent: AgentConfig = field(default_factory=SACConfig)
+    agent: AgentConfig = field(default_factory=lambda: load_algorithm("sac").Config())
     """Options of the algorithm."""
 
     def __post_init__(self) -> None:
         check_options(self)
+        parse_weights(self.reward_weights)
         check_options(self.agent)
+        expected = load_algorithm(self.algo).Config
+        if type(self.agent) is not expected:
+            raise UserError(
+                f"agent must hold the options of algorithm {self.algo!r}, "
+                f"{expected.__name__}, not {type(self.agent).__name__}"
+            )
 
     @property
     def robot_config(self) -> RobotConfig:
@@ -127,19 +116,19 @@ class TrainConfig:
     @property
     def folder(self) -> Path:
         """The run folder."""
-        name = self.task.replace(":", ".").replace("/", "-")
-        return self.out or Path("runs") / f"{name}-{self.algo}-{self.seed}"
+        name = f"{self.task}-{self.algo}-{self.seed}"
+        return self.out or Path("runs") / name.replace(":", ".").replace("/", "-")
 
 
 def recipe_names() -> list[str]:
-    """Names `<task>-<algo>` of the tuned recipes that are shipped."""
+    """Return the names `<task>-<algo>` of the tuned recipes that are shipped."""
     paths = (files("manip.assets") / "recipes").iterdir()
     names = [path.name.removesuffix(".yaml") for path in paths]
     return sorted(name for name in names if "-" in name)
 
 
 def recipes(robot: str | None = None) -> dict[str, TrainConfig]:
-    """Name -> options of the tuned recipes that are shipped for tasks known here."""
+    """Return the tuned recipes of all installed tasks: name -> options."""
     tasks = {task.lower(): task for task in task_names()}
     pairs = {name: name.split("-", 1) for name in recipe_names()}
     return {
@@ -149,93 +138,113 @@ def recipes(robot: str | None = None) -> dict[str, TrainConfig]:
     }
 
 
-def recipe(task: str, algo: str, robot: str | None = None) -> TrainConfig:
-    """The tuned options for a task and an algorithm, or the defaults where none are.
+def recipe(
+    task: str, algo: str, robot: str | None = None, controller: str | None = None
+) -> TrainConfig:
+    """Return the tuned options of a task and an algorithm, or the defaults.
 
-    robot: the arm, if not the recipe's own; what the recipe says under `robots` of it
-        takes the place of other options. All tasks of another library share one recipe.
+    All tasks of another library share one recipe. A recipe's action_scale is of its own
+    controller, and is left out with another one.
+
+    Args:
+        robot: the arm, if not the recipe's own; a recipe may set other options for it,
+            under `robots`.
+        controller: the action space, if not the recipe's own.
 
     Raises:
         UserError: unknown algorithm.
     """
-    if algo not in ALGORITHMS:
-        raise unknown("algorithm", algo, ALGORITHMS)
     name = task.split("/")[0] if "/" in task else f"{task.lower()}-{algo}"
-    found = dict(_shipped(name))
-    arm = {"robot": robot} if robot else {}
-    own = found.pop("robots", {}).get(robot, {})
-    return from_dict({"task": task, "algo": algo} | found | own | arm)
+    values = dict(_shipped(name))
+    values |= values.pop("robots", {}).get(robot, {})
+    if scales_other_actions(task, algo, controller):
+        values["agent"] = {k: v for k, v in values["agent"].items() if k != SCALE}
+    chosen = {"robot": robot, "controller": controller}
+    values |= {option: value for option, value in chosen.items() if value}
+    return from_dict({"task": task, "algo": algo} | values)
+
+
+def scales_other_actions(task: str, algo: str, controller: str | None) -> bool:
+    """Whether a recipe has an action_scale, but for another controller than this."""
+    values = _shipped(f"{task.lower()}-{algo}")
+    own = values.get("controller", "OSC_POSE")
+    return controller not in (None, own) and SCALE in values.get("agent", {})
 
 
 @cache
 def _shipped(name: str) -> dict[str, Any]:
     path = files("manip.assets") / "recipes" / f"{name}.yaml"
-    return yaml.safe_load(path.read_text()) if path.is_file() else {}
+    return read_yaml(Path(str(path))) if path.is_file() else {}
 
 
 def to_dict(config: TrainConfig) -> dict[str, Any]:
-    """Plain values, fit for YAML."""
+    """Return the options as plain values, fit for YAML."""
     plain = dataclasses.asdict(config) | {"out": str(config.folder)}
-    plain["agent"] = {
-        key: list(value) if isinstance(value, tuple) else value
-        for key, value in plain["agent"].items()
-    }
-    return plain
+    return _with_lists(plain) | {"agent": _with_lists(plain["agent"])}
+
+
+def _with_lists(values: dict[str, Any]) -> dict[str, Any]:
+    return {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
 
 
 def lasting(config: TrainConfig) -> dict[str, Any]:
-    """Name -> plain value of the options that stay as they are when a run goes on."""
+    """Return the options that must not change when a run is resumed: name -> value."""
     plain = to_dict(config)
     plain |= {f"agent.{name}": value for name, value in plain.pop("agent").items()}
     return {name: value for name, value in plain.items() if name not in MAY_CHANGE}
 
 
 def check_lasting(recorded: dict[str, Any], config: TrainConfig) -> None:
-    """Compare what `lasting` gave of a run with the options it is to go on with.
+    """Compare the `lasting` options of a run with those that it is resumed with.
 
     Raises:
         UserError: one of them differs.
     """
-    asked = lasting(config)
+    requested = lasting(config)
     changed = [
-        f"{name} was {recorded.get(name)!r}, not {asked.get(name)!r}"
-        for name in sorted(recorded.keys() | asked.keys())
-        if recorded.get(name) != asked.get(name)
+        f"{name} was {recorded.get(name)!r}, not {requested.get(name)!r}"
+        for name in sorted(recorded.keys() | requested.keys())
+        if recorded.get(name) != requested.get(name)
     ]
     if changed:
         raise UserError(
             f"the run cannot go on with other options: {'; '.join(changed)}. Leave "
-            "them out, or begin another run with another --out"
+            "them out, or start another run with another --out"
         )
 
 
 def from_dict(values: dict[str, Any]) -> TrainConfig:
-    """The configuration of plain values.
+    """Build a configuration from plain values.
 
     Raises:
-        UserError: unknown algorithm or option, or a value that it cannot have.
+        UserError: unknown algorithm or option, or a value that the option cannot have.
     """
     algo, out = values.get("algo", "sac"), values.get("out")
-    if algo not in (*ALGORITHMS,):
-        raise unknown("algorithm", algo, ALGORITHMS)
-    agent = build(ALGORITHMS[algo], values.get("agent") or {})
+    if not isinstance(algo, str):
+        raise UserError(f"algo must be text, not {shown(algo)}")
+    _check_names(values)
+    agent = build(load_algorithm(algo).Config, values.get("agent") or {})
     rest = values | {"agent": agent, "out": Path(out) if isinstance(out, str) else out}
     return build(TrainConfig, rest)
 
 
+def _check_names(values: dict[str, Any]) -> None:
+    for old, new in RENAMED.items():
+        if old in values:
+            raise UserError(f"the option {old} is now called {new}")
+
+
 def recorded(folder: Path) -> TrainConfig:
-    """The configuration that a run has left in its folder.
+    """Read the configuration that a run has left in its folder.
 
     Raises:
-        UserError: it is damaged.
+        UserError: it is damaged, or names an algorithm whose code lies in the folder.
         OSError: there is none.
     """
     path = folder / "config.yaml"
-    try:
-        values = yaml.safe_load(path.read_text())
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise UserError(f"{path} is damaged: {one_line(error)}") from error
+    values = read_yaml(path)
     if not isinstance(values, dict):
         raise UserError(f"{path} is damaged: it holds no options")
     values.pop("versions", None)
+    check_algorithm_origin(str(values.get("algo", "sac")), folder)
     return from_dict(values)

@@ -13,28 +13,27 @@ from manip.errors import UserError
 
 
 class NanGuard:
-    """Looks at every gradient before an optimiser takes it, whatever the algorithm.
+    """Checks every gradient before an optimiser uses it, whatever the algorithm.
 
-    A gradient that is not finite becomes zero: the parameters keep what they have
-    learned.
+    A gradient that is not finite becomes zero, which leaves the parameters finite.
 
     Args:
         optimisers: name -> optimiser.
-        stop: whether that is an error.
+        stop: raise an error instead.
 
     Attributes:
-        lost: what was not finite lately; whoever tells of it removes it.
+        messages: what was not finite; the reader removes what it has reported.
         count: how often something was not finite so far.
     """
 
     def __init__(self, optimisers: Mapping[str, Optimizer], stop: bool) -> None:
-        self.lost: deque[str] = deque(maxlen=1000)
+        self.messages: deque[str] = deque(maxlen=1000)
         self.count = 0
         self._stop = stop
         for name, optimiser in optimisers.items():
-            optimiser.register_step_pre_hook(partial(self._look, name))
+            optimiser.register_step_pre_hook(partial(self._check, name))
 
-    def _look(self, name: str, optimiser: Optimizer, *_: Any) -> None:
+    def _check(self, name: str, optimiser: Optimizer, *_: Any) -> None:
         gradients = [
             parameter.grad
             for group in optimiser.param_groups
@@ -43,19 +42,23 @@ class NanGuard:
         ]
         if get_total_norm(gradients).isfinite():
             return
-        self._note(f"the gradient of the optimiser {name!r}")
+        self._report(f"the gradient of the optimiser {name!r}")
         for gradient in gradients:
             gradient.zero_()
 
-    def finite(self, learned: Mapping[str, float]) -> dict[str, float]:
-        """What was learned, less what is not finite."""
-        kept = {name: value for name, value in learned.items() if isfinite(value)}
-        if kept.keys() != learned.keys():
-            self._note(", ".join(sorted(learned.keys() - kept.keys())))
-        return kept
+    def finite(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Drop the values of an update that are not finite.
 
-    def _note(self, what: str) -> None:
+        Raises:
+            UserError: one is not finite, and that is to stop the run.
+        """
+        finite = {name: value for name, value in values.items() if isfinite(value)}
+        if len(finite) < len(values):
+            self._report(", ".join(sorted(values.keys() - finite.keys())))
+        return finite
+
+    def _report(self, name: str) -> None:
         if self._stop:
-            raise UserError(f"{what} is not finite")
+            raise UserError(f"{name} is not finite")
         self.count += 1
-        self.lost.append(f"{what} is not finite")
+        self.messages.append(f"{name} is not finite")

@@ -1,66 +1,35 @@
-"""A live line on a terminal, plain lines in a log: where a training stands."""
+"""What a run reports while it trains."""
 
-import sys
-import time
-from collections.abc import Mapping, Sequence
-from types import TracebackType
-
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 
-class TrainingProgress:
-    """Shows steps, steps/s, success, stage rates and time left while training."""
+@dataclass(frozen=True)
+class Progress:
+    """A run's report after a rollout, an evaluation and at its end.
 
-    def __init__(self, total: int, done: int, milestones: Sequence[str]) -> None:
-        self.console = Console(file=sys.stderr)
-        self._stages = milestones
-        self._began, self._first = time.monotonic(), done
-        self._bar = Progress(
-            TextColumn("training"),
-            BarColumn(bar_width=24),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[line]}", markup=False),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(elapsed_when_finished=False),
-            console=self.console,
-            disable=not self.console.is_terminal,
-        )
-        self._task = self._bar.add_task("", total=total, completed=done, line="")
+    Attributes:
+        env_steps: control steps taken so far, all environments together.
+        total_steps: control steps that the run takes in all.
+        seconds: wall time of training so far, over all processes of the run.
+        steps_per_second: control steps a second of wall time, in this process.
+        averages: recent training averages, as in the `train/` columns of metrics.csv.
+        milestones: names of the task's milestones, which `averages` holds, too.
+        messages: lines for people to read, new since the last report.
+    """
 
-    def __enter__(self) -> "TrainingProgress":
-        self._bar.start()
-        return self
+    env_steps: int
+    total_steps: int
+    seconds: float
+    steps_per_second: float
+    averages: Mapping[str, float] = field(default_factory=dict)
+    milestones: tuple[str, ...] = ()
+    messages: tuple[str, ...] = ()
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._bar.stop()
 
-    def update(self, env_steps: int, values: Mapping[str, float]) -> None:
-        """Move the bar on; `values` are the latest training averages."""
-        line = f"{self.speed(env_steps):,.0f} steps/s"
-        if "train/success" in values:
-            line += f"  success {values['train/success']:.0%}"
-            line += "".join(f"  {s} {values[f'train/{s}']:.0%}" for s in self._stages)
-        self._bar.update(self._task, completed=env_steps, line=line)
+Callback = Callable[[Progress], object]
+"""Receives a run's reports, on the thread that trains."""
 
-    def speed(self, env_steps: int) -> float:
-        """Control steps a second since this process began to train."""
-        seconds = max(time.monotonic() - self._began, 1e-9)
-        return (env_steps - self._first) / seconds
 
-    def say(self, text: str) -> None:
-        """Print a line above the bar."""
-        self.console.print(text, markup=False, highlight=False, soft_wrap=True)
+def ignore(progress: Progress) -> None:
+    """Drop a report (the default callback)."""

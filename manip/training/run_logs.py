@@ -1,35 +1,39 @@
 """Where a run's numbers go: CSV, TensorBoard and, on request, Weights & Biases."""
 
 import csv
+import netrc
+import os
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from types import TracebackType
+from urllib.parse import urlsplit
 
 from torchrl.record.loggers import Logger, TensorboardLogger
 
-from manip.errors import UserError
+from manip.errors import UserError, one_line
 from manip.io.atomic_files import replace_file
 
 Row = Mapping[str, float]
-"""Name -> value of what is logged at once; `env_steps` says when."""
+"""Name -> value of the scalars logged at one time, `env_steps` among them."""
 
 
 class MetricsTable:
-    """A CSV file that grows by a row a record; new columns may appear on the way."""
+    """A CSV file that grows by rows; later rows may bring new columns."""
 
     def __init__(self, path: Path, rows: Sequence[Row]) -> None:
-        """Begin the table with the rows that there are already."""
+        """Write the table anew with the rows that there are already."""
         self._path = path
-        self.rows = list(rows)
+        self._rows = list(rows)
         self._columns = list(dict.fromkeys(name for row in rows for name in row))
         self._rewrite()
 
     def add(self, row: Row) -> None:
         """Append a row."""
-        self.rows.append(dict(row))
-        fresh = [name for name in row if name not in self._columns]
-        self._columns += fresh
-        if fresh:
+        self._rows.append(dict(row))
+        new = [name for name in row if name not in self._columns]
+        self._columns += new
+        if new:
             self._rewrite()
             return
         with self._path.open("a", newline="") as file:
@@ -42,38 +46,72 @@ class MetricsTable:
         with path.open("w", newline="") as file:
             writer = csv.DictWriter(file, self._columns)
             writer.writeheader()
-            writer.writerows(self.rows)
+            writer.writerows(self._rows)
 
 
 def read_metrics(path: Path) -> list[dict[str, str]]:
     """Rows of a run's metrics.csv; none if there is no such file.
 
-    A last line that is not whole yet is left out.
+    A last line without line break, which a killed run may leave, is left out.
     """
     if not path.is_file():
         return []
     with path.open(newline="") as file:
-        whole = [line for line in file if line.endswith("\n")]
-    return list(csv.DictReader(whole))
+        complete = [line for line in file if line.endswith("\n")]
+    return list(csv.DictReader(complete))
 
 
 def check_wandb(project: str | None) -> None:
-    """Raise `UserError` if Weights & Biases is asked for and not there."""
-    if project is not None and find_spec("wandb") is None:
+    """Check that a run can log to Weights & Biases, if it is to, before it begins.
+
+    Raises:
+        UserError: the library is not installed, or nobody is logged in.
+    """
+    if project is None:
+        return
+    if find_spec("wandb") is None:
         raise UserError(
-            "--wandb needs a package that is not there: pip install wandb, or leave "
-            "the option out"
+            "--wandb needs the package wandb: pip install wandb, or leave the option "
+            "out"
+        )
+    if not _wandb_needs_no_login() and not _wandb_login():
+        raise UserError(
+            "--wandb needs a login: run `wandb login`, set WANDB_API_KEY, or set "
+            "WANDB_MODE=offline"
         )
 
 
+def _wandb_needs_no_login() -> bool:
+    return os.environ.get("WANDB_MODE") in ("offline", "dryrun", "disabled")
+
+
+def _wandb_login() -> bool:
+    """Whether there is a key, in the environment or where `wandb login` writes it."""
+    if os.environ.get("WANDB_API_KEY"):
+        return True
+    url = os.environ.get("WANDB_BASE_URL", "https://api.wandb.ai")
+    try:
+        return (
+            netrc.netrc(os.environ.get("NETRC")).authenticators(
+                urlsplit(url).hostname or ""
+            )
+            is not None
+        )
+    except (OSError, netrc.NetrcParseError):
+        return False
+
+
 class RunLog:
-    """All of a run's logs behind one call.
+    """All logs of a run behind one call.
 
     Args:
-        folder: of the run.
-        rows: what was logged up to the checkpoint that the run goes on from; the logs
-            are written anew from them, so that no row is there twice or missing.
-        wandb_project: logs to Weights & Biases, too.
+        folder: the run folder.
+        rows: rows up to the checkpoint that the run continues from; the logs are
+            written anew from them, so that each row is there once.
+        wandb_project: Weights & Biases project to log to, too.
+
+    Raises:
+        UserError: Weights & Biases refuses.
     """
 
     def __init__(
@@ -87,29 +125,33 @@ class RunLog:
         for row in rows:
             _log(self._board, row)
         if wandb_project:
-            from torchrl.record.loggers import WandbLogger  # an optional extra
-
-            self._loggers.append(
-                WandbLogger(folder.name, project=wandb_project, save_dir=str(folder))
-            )
+            self._loggers.append(_wandb_logger(folder, wandb_project))
 
     def __enter__(self) -> "RunLog":
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._board.experiment.close()
 
-    @property
-    def rows(self) -> list[Row]:
-        """All that was logged so far."""
-        return self._table.rows
-
-    def write(self, env_steps: int, values: Row) -> None:
-        """Log scalars at a number of control steps."""
-        row = {"env_steps": env_steps, **values}
+    def write(self, row: Row) -> None:
+        """Log a row of scalars."""
         self._table.add(row)
         for logger in self._loggers:
             _log(logger, row)
+
+
+def _wandb_logger(folder: Path, project: str) -> Logger:
+    from torchrl.record.loggers import WandbLogger  # an optional extra
+
+    try:
+        return WandbLogger(folder.name, project=project, save_dir=str(folder))
+    except Exception as error:  # wandb has many, none of them documented
+        raise UserError(f"--wandb {project}: {one_line(error)}") from error
 
 
 def _log(logger: Logger, row: Row) -> None:

@@ -1,11 +1,15 @@
-"""Native passes of small networks: forward, and backward to gradients.
+"""Forward and backward passes of multilayer perceptrons, in native code.
 
-A network is a row of dense layers y = W x + b, each but the last followed by ReLU,
-tanh, or LayerNorm (Ba et al. 2016, arXiv 1607.06450) and ReLU. Its parameters lie in
-one flat float32 array, layer after layer: W [out, in], b [out], and LayerNorm's gain
-and shift [out]. What a forward pass leaves on its tape is what the backward pass needs.
-Matrix products are BLAS calls (numba takes SciPy's); the rest runs once over rows in
-cache.
+A network is a sequence of dense layers z = W x + b. Each layer but the last is followed
+by an activation: ReLU, tanh, or LayerNorm (Ba et al. 2016, arXiv 1607.06450) and ReLU.
+Its parameters lie in one flat float32 array, layer after layer: W [out, in], b [out],
+and LayerNorm's gain and shift [out]. The forward pass writes to a flat tape what the
+backward pass reads: of each hidden layer z [B, out] (z normalised, with LayerNorm),
+the activation y [B, out], and LayerNorm's deviation [B].
+Matrix products are BLAS calls (numba uses SciPy's). Everything else is fused into one
+loop over rows, which are in cache then.
+
+d_x stands for the gradient of the loss by x.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +22,7 @@ from manip.compiled import fast_kernel
 Array = np.ndarray
 
 RELU, TANH, NORM_RELU = range(3)
-"""What follows a hidden layer."""
+"""Activations of hidden layers."""
 
 EPSILON = np.float32(1e-5)
 """Added to the variance (torch.nn.LayerNorm's default)."""
@@ -27,12 +31,13 @@ ZERO, HALF, ONE, TWO = (np.float32(x) for x in (0, 0.5, 1, 2))
 LOG2_E = np.float32(1 / np.log(2))
 LOG_2_HIGH = np.float32(355 / 512)
 LOG_2_LOW = np.float32(np.log(2) - 355 / 512)
-"""log 2 in two parts: k times the high one is exact."""
+"""log 2 as a sum: k LOG_2_HIGH is exact in float32 (Cody and Waite 1980)."""
 LIMIT = np.float32(40)
+"""Largest |x| of `_exp`."""
 
 
 class Layout(NamedTuple):
-    """Where a network's parts lie.
+    """Offsets of a network's layers in its flat arrays.
 
     widths: [L + 1] of input, hidden layers and output; params_at, tape_at: [L] start of
     each layer in the parameters and on the tape; activation: RELU, TANH or NORM_RELU.
@@ -59,9 +64,9 @@ def tape_size(layout: Layout, rows: int) -> int:
     return int(rows * (2 * layout.widths[1:-1] + 1).sum())
 
 
-def empty_parts(shapes: Mapping[str, tuple[int, ...]], parts: int) -> dict[str, Array]:
-    """Name -> zeros [parts, *shape], the scratch of so many parts of a batch."""
-    return {n: np.zeros((parts, *shape), np.float32) for n, shape in shapes.items()}
+def zeros_of(shapes: Mapping[str, tuple[int, ...]], blocks: int) -> dict[str, Array]:
+    """Name -> zeros [blocks, *shape] float32: workspaces of the blocks of a batch."""
+    return {n: np.zeros((blocks, *shape), np.float32) for n, shape in shapes.items()}
 
 
 def _starts(sizes: Array) -> Array:
@@ -69,29 +74,30 @@ def _starts(sizes: Array) -> Array:
 
 
 @fast_kernel
-def _block(flat: Array, at: int, rows: int, columns: int) -> Array:
+def _matrix(flat: Array, at: int, rows: int, columns: int) -> Array:
+    """View [rows, columns] of a flat array, from offset `at`."""
     return flat[at : at + rows * columns].reshape(rows, columns)
 
 
 @fast_kernel
 def forward(params: Array, layout: Layout, x: Array, tape: Array, out: Array) -> None:
-    """The network's output for x [B, in], into out [B, out]."""
+    """Compute the network's output for x [B, in] into out [B, out]; fill the tape."""
     rows, last = len(x), len(layout.widths) - 2
     for k in range(last + 1):
         inputs, width = layout.widths[k], layout.widths[k + 1]
         at = layout.params_at[k]
-        weight = _block(params, at, width, inputs)
+        weight = _matrix(params, at, width, inputs)
         at += width * inputs
         bias = params[at : at + width]
         if k == last:
-            np.dot(x, weight.T, out)
+            np.dot(x, weight.T, out)  # out = x W^T + b
             _add_to_rows(out, bias)
             return
         to = layout.tape_at[k]
-        z = _block(tape, to, rows, width)
-        y = _block(tape, to + rows * width, rows, width)
+        z = _matrix(tape, to, rows, width)
+        y = _matrix(tape, to + rows * width, rows, width)
         deviation = tape[to + 2 * rows * width : to + 2 * rows * width + rows]
-        np.dot(x, weight.T, z)
+        np.dot(x, weight.T, z)  # z = x W^T; the activation adds b
         if layout.activation == NORM_RELU:
             gain = params[at + width : at + 2 * width]
             shift = params[at + 2 * width : at + 3 * width]
@@ -113,19 +119,21 @@ def backward(
     scratch: Array,
     grads: Array,
 ) -> None:
-    """Gradients of sum(out * d_out) by the parameters, into `grads`.
+    """Write the gradients of sum(out * d_out) by the parameters to `grads`.
 
-    x [B, in] and `tape` as `forward` left them; d_out [B, out]; scratch [2, S], each
-    row long enough for a hidden layer's batch.
+    Args:
+        x: [B, in], input of the forward pass that wrote `tape`.
+        d_out: [B, out].
+        scratch: [2, S] for d_y of layers in turn, S >= B times the widest layer.
     """
     d_z = d_out
     for k in range(len(layout.widths) - 2, -1, -1):
         inputs, width = layout.widths[k], layout.widths[k + 1]
         at = layout.params_at[k]
         below = x if k == 0 else _output(layout, tape, k - 1, len(x))
-        np.dot(d_z.T, below, _block(grads, at, width, inputs))
+        np.dot(d_z.T, below, _matrix(grads, at, width, inputs))  # dW = d_z^T below
         at += width * inputs
-        _sum_rows(d_z, grads[at : at + width])
+        _sum_rows(d_z, grads[at : at + width])  # db = sum over rows of d_z
         if k > 0:
             d_y = _down(params, layout, tape, k, d_z, scratch[k % 2])
             if layout.activation == NORM_RELU:
@@ -138,29 +146,39 @@ def backward(
 def backward_to_input(
     params: Array, layout: Layout, tape: Array, d_out: Array, scratch: Array, d_x: Array
 ) -> None:
-    """Gradient of sum(out * d_out) by the input, into d_x [B, in]; see `backward`."""
+    """Write the gradient of sum(out * d_out) by the input to d_x; see `backward`.
+
+    Args:
+        d_x: [B, in].
+    """
     d_z = d_out
     for k in range(len(layout.widths) - 2, 0, -1):
         d_y = _down(params, layout, tape, k, d_z, scratch[k % 2])
         if layout.activation == NORM_RELU:
             _through_norm(params, layout, tape, k - 1, d_y)
         d_z = d_y
-    np.dot(d_z, _block(params, 0, layout.widths[1], layout.widths[0]), d_x)
+    # d_x = d_z W of the first layer
+    np.dot(d_z, _matrix(params, 0, layout.widths[1], layout.widths[0]), d_x)
 
 
 @fast_kernel
 def _down(
     params: Array, layout: Layout, tape: Array, k: int, d_z: Array, scratch: Array
 ) -> Array:
-    """From layer k's sums down through the ReLU or tanh below it: [B, width]."""
+    """Return d by the input of the activation below layer k, from d_z of layer k.
+
+    [B, width], in `scratch`. The activation's input is z with tanh or ReLU, and
+    gain * unit + shift with LayerNorm.
+    """
     width = layout.widths[k]
-    d_y = _block(scratch, 0, len(d_z), width)
-    np.dot(d_z, _block(params, layout.params_at[k], layout.widths[k + 1], width), d_y)
+    d_y = _matrix(scratch, 0, len(d_z), width)
+    # d_y = d_z W
+    np.dot(d_z, _matrix(params, layout.params_at[k], layout.widths[k + 1], width), d_y)
     y = _output(layout, tape, k - 1, len(d_z))
     if layout.activation == TANH:
         for i in range(len(d_y)):
             for j in range(width):
-                d_y[i, j] *= ONE - y[i, j] * y[i, j]
+                d_y[i, j] *= ONE - y[i, j] * y[i, j]  # tanh' = 1 - tanh^2
     else:
         for i in range(len(d_y)):
             for j in range(width):
@@ -170,8 +188,9 @@ def _down(
 
 @fast_kernel
 def _output(layout: Layout, tape: Array, k: int, rows: int) -> Array:
+    """Activation [rows, width] of hidden layer k, on the tape behind its z."""
     width = layout.widths[k + 1]
-    return _block(tape, layout.tape_at[k] + rows * width, rows, width)
+    return _matrix(tape, layout.tape_at[k] + rows * width, rows, width)
 
 
 @fast_kernel
@@ -198,7 +217,7 @@ def _rectify(z: Array, bias: Array, y: Array) -> None:
 
 @fast_kernel
 def _saturate(z: Array, bias: Array, y: Array) -> None:
-    """y = tanh(z + bias) = 1 - 2 / (exp(2 (z + bias)) + 1), to 1e-7."""
+    """y = tanh(z + bias) = 1 - 2 / (exp(2 (z + bias)) + 1); errors are below 1e-7."""
     for i in range(len(z)):
         for j in range(len(bias)):
             y[i, j] = ONE - TWO / (_exp(TWO * (z[i, j] + bias[j])) + ONE)
@@ -206,16 +225,18 @@ def _saturate(z: Array, bias: Array, y: Array) -> None:
 
 @fast_kernel
 def _exp(x: Any) -> Any:
-    """exp(x) for |x| <= 40 (clipped), to 2e-7 of it; compilers vectorise it.
+    """exp(x), x clipped to [-40, 40]; relative errors are below 2e-7.
 
-    2^k exp(r) with k = round(x / log 2), and exp's power series for |r| <= 0.35.
+    exp(x) = 2^k exp(r) with k = round(x / log 2) and r = x - k log 2, |r| <= 0.35, by
+    exp's power series. Unlike np.exp, it is inlined, and loops of it are vectorised.
     """
     x = min(max(x, -LIMIT), LIMIT)
     k = np.floor(x * LOG2_E + HALF)
     r = (x - k * LOG_2_HIGH) - k * LOG_2_LOW
-    series = ONE
+    series = ONE  # 1 + r (1 + r/2 (1 + r/3 (...))), Horner's scheme
     for n in (7, 6, 5, 4, 3, 2, 1):
         series = ONE + series * r / np.float32(n)
+    # 2^k: k + 127 in the exponent's bits of a float32
     return series * np.int32((np.int32(k) + 127) << 23).view(np.float32)
 
 
@@ -223,7 +244,10 @@ def _exp(x: Any) -> Any:
 def _normalise(
     z: Array, bias: Array, gain: Array, shift: Array, deviation: Array, y: Array
 ) -> None:
-    """z + bias becomes its normalised self; y = relu(gain * z + shift)."""
+    """LayerNorm in place, z = (z + bias - mean) / deviation; then ReLU.
+
+    y = max(0, gain * z + shift); deviation [B] = sqrt(var + EPSILON) of each row.
+    """
     width = np.float32(len(bias))
     for i in range(len(z)):
         row, out = z[i], y[i]
@@ -246,9 +270,13 @@ def _normalise(
 def _norm_gradients(
     layout: Layout, tape: Array, k: int, d_y: Array, grads: Array
 ) -> None:
-    """Gradients of layer k's gain and shift, from those of their output d_y [B, w]."""
+    """Write the gradients of layer k's gain and shift, from d_y of their output [B, w].
+
+    d_gain = sum over rows of d_y * unit, d_shift = sum over rows of d_y, where unit is
+    the normalised z.
+    """
     rows, width = d_y.shape
-    unit = _block(tape, layout.tape_at[k], rows, width)
+    unit = _matrix(tape, layout.tape_at[k], rows, width)
     at = layout.params_at[k] + width * (layout.widths[k] + 1)
     d_gain, d_shift = grads[at : at + width], grads[at + width : at + 2 * width]
     d_gain[:] = 0
@@ -261,13 +289,14 @@ def _norm_gradients(
 
 @fast_kernel
 def _through_norm(params: Array, layout: Layout, tape: Array, k: int, d: Array) -> None:
-    """Back through layer k's LayerNorm, in place: d by its output becomes d by its sum.
+    """Turn d by the output of layer k's LayerNorm into d by its input, in place.
 
-    With g = gain * d: (g - mean(g) - unit * mean(g * unit)) / deviation.
+    d = (g - mean(g) - unit * mean(g * unit)) / deviation with g = gain * d, means over
+    the row, and the normalised z as unit.
     """
     rows, width = d.shape
     to = layout.tape_at[k]
-    unit = _block(tape, to, rows, width)
+    unit = _matrix(tape, to, rows, width)
     deviation = tape[to + 2 * rows * width : to + 2 * rows * width + rows]
     at = layout.params_at[k] + width * (layout.widths[k] + 1)
     gain = params[at : at + width]

@@ -1,7 +1,7 @@
-"""PPO's gradients in native code, for a part of a batch; equations in `ppo.py`.
+"""PPO's gradients in native code, for a block of rows; equations in `ppo.py`.
 
-A sample is one row: state s [O] (normalised), action a [A], log pi_old(a | s),
-advantage (normalised) and value target.
+A row is one sample: state s [O] (normalised), action a [A], log pi_old(a | s),
+advantage (normalised) and value target R.
 """
 
 from typing import NamedTuple
@@ -11,9 +11,9 @@ import numpy as np
 from manip.agents.native.mlp_kernels import (
     Layout,
     backward,
-    empty_parts,
     forward,
     tape_size,
+    zeros_of,
 )
 from manip.compiled import fast_jit, fast_kernel
 
@@ -24,9 +24,10 @@ LOG_2PI = np.float32(np.log(2 * np.pi))
 
 
 class Nets(NamedTuple):
-    """Flat parameters, how they lie, and the loss's constants.
+    """Flat parameters, their layout, and the loss's constants.
 
     params: [P + A + Q] of actor, log standard deviations (of a / action_scale), critic.
+    log_std_at: P. clip: eps.
     """
 
     params: Array
@@ -39,10 +40,11 @@ class Nets(NamedTuple):
 
 
 class Work(NamedTuple):
-    """A thread's scratch for up to R rows, and what it finds.
+    """Workspace of a block of up to R rows, and its results.
 
-    grads: [P + A + Q]; found: sums of objective, critic loss, KL divergence (Schulman's
-    estimate (rho - 1) - log rho, joschu.net/blog/kl-approx.html) and clipped rows.
+    grads: [P + A + Q], gradients summed over rows; sums: [4] over rows of objective,
+    critic loss, KL divergence (Schulman's estimate (rho - 1) - log rho,
+    joschu.net/blog/kl-approx.html), and number of rows outside the clip range.
     """
 
     state: Array
@@ -55,11 +57,11 @@ class Work(NamedTuple):
     critic_tape: Array
     scratch: Array
     grads: Array
-    found: Array
+    sums: Array
 
 
-def work_for(nets: Nets, parts: int, rows: int) -> Work:
-    """Scratch for so many parts of up to `rows` rows: arrays [parts, ...]."""
+def work_for(nets: Nets, blocks: int, rows: int) -> Work:
+    """Workspaces of blocks of up to `rows` rows, as arrays [blocks, ...]."""
     actions = len(nets.action_scale)
     widest = max(nets.actor_layout.widths.max(), nets.critic_layout.widths.max())
     shapes = {
@@ -68,16 +70,17 @@ def work_for(nets: Nets, parts: int, rows: int) -> Work:
         "value": (rows, 1), "d_value": (rows, 1),
         "actor_tape": (tape_size(nets.actor_layout, rows),),
         "critic_tape": (tape_size(nets.critic_layout, rows),),
-        "scratch": (2, rows * widest), "grads": nets.params.shape, "found": (4,),
+        "scratch": (2, rows * widest), "grads": nets.params.shape, "sums": (4,),
     }  # fmt: skip
-    return Work(**empty_parts(shapes, parts))
+    return Work(**zeros_of(shapes, blocks))
 
 
 @fast_jit
 def ppo_gradients(nets: Nets, rows: Array, work: Work) -> None:
-    """Of the clipped objective and the critic's loss, summed over rows [n, O + A + 3].
+    """Write the gradients of the clipped objective and the critic's loss to `work`.
 
-    The entropy bonus, which no row changes, is left out.
+    Summed over rows [n, O + A + 3]. Leaves out the entropy bonus, which does not depend
+    on rows.
     """
     n, states = len(rows), work.state.shape[1]
     at, end = nets.log_std_at, nets.log_std_at + len(nets.action_scale)
@@ -86,9 +89,10 @@ def ppo_gradients(nets: Nets, rows: Array, work: Work) -> None:
     actor, critic = nets.params[:at], nets.params[end:]
     forward(actor, nets.actor_layout, state, work.actor_tape, mean)
     forward(critic, nets.critic_layout, state, work.critic_tape, value)
-    work.found[:] = 0
+    work.sums[:] = 0
     work.grads[at:end] = 0
     work.std[:] = np.exp(nets.params[at:end])
+    # sum of log deviations of the action: log(action_scale std)
     log_scale = np.sum(nets.params[at:end] + np.log(nets.action_scale))
     for r in range(n):
         unit = work.d_mean[r]
@@ -96,8 +100,8 @@ def ppo_gradients(nets: Nets, rows: Array, work: Work) -> None:
         unit[:] = (action / nets.action_scale - mean[r]) / work.std
         _actor_row(nets, rows[r], log_scale, unit, work)
         error = value[r, 0] - rows[r, -1]
-        weight = np.float32(nets.critic_coefficient)
-        work.found[1] += weight * error * error
+        weight = np.float32(nets.critic_coefficient)  # c_V (V(s) - R)^2
+        work.sums[1] += weight * error * error
         work.d_value[r, 0] = weight * TWO * error
     backward(
         actor,
@@ -123,20 +127,24 @@ def ppo_gradients(nets: Nets, rows: Array, work: Work) -> None:
 def _actor_row(
     nets: Nets, row: Array, log_scale: float, unit: Array, work: Work
 ) -> None:
-    """One sample's objective, and its gradients by log deviations and mean.
+    """Add one sample's objective, and its gradients by log deviations and mean.
 
-    unit: [A] the action in standard deviations from the mean; becomes the gradient by
-    the actor's output.
+    Args:
+        unit: [A], the action in standard deviations from the mean; becomes the gradient
+            by the actor's output.
     """
+    # log N(a) = -1/2 sum (unit^2 + log 2 pi) - sum log deviation
     log_prob = -HALF * np.sum(unit * unit + LOG_2PI) - log_scale
     log_ratio, advantage = log_prob - row[-3], row[-2]
     ratio, clip = np.exp(log_ratio), np.float32(nets.clip)
     bounded = min(max(ratio, ONE - clip), ONE + clip)
     clipped = bounded * advantage < ratio * advantage
+    # slope: d(-min(rho A, clip(rho) A)) / d(log pi), as d rho = rho d(log pi)
     slope = np.float32(0) if clipped else -ratio * advantage
-    work.found[0] -= min(bounded * advantage, ratio * advantage)
-    work.found[2] += ratio - ONE - log_ratio
-    work.found[3] += ratio != bounded
+    work.sums[0] -= min(bounded * advantage, ratio * advantage)
+    work.sums[2] += ratio - ONE - log_ratio  # KL divergence
+    work.sums[3] += ratio != bounded
     for j in range(len(unit)):
+        # d(log pi) / d(log std) = unit^2 - 1, d(log pi) / d(mean) = unit / std
         work.grads[nets.log_std_at + j] += slope * (unit[j] * unit[j] - ONE)
         unit[j] *= slope / work.std[j]

@@ -1,57 +1,57 @@
-"""A batch in parts that threads share, for gradients in native code."""
+"""Run gradient kernels over blocks of a batch's rows, in several threads."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import scipy.linalg.cython_blas  # noqa: F401 - loaded now, to be limited below
+import scipy.linalg.cython_blas  # noqa: F401 - loads BLAS, which is limited below
 from threadpoolctl import ThreadpoolController
 from torch import Tensor
 
-PART = 128
-"""Rows of a batch that a thread takes at a time: fixed, so that sums come out alike."""
+BLOCK_ROWS = 128
+"""Rows of a block. Constant, so that sums do not depend on the number of threads."""
 
 Kernel = Callable[..., None]
-"""Takes what all parts share, then a part of each input, then the part's scratch."""
+"""(what all blocks share, the block of each input, the block's workspace) -> None."""
 
 
-def parts_of(batch: int) -> int:
-    """How many parts a batch has."""
-    return -(-batch // PART)
+def count_blocks(batch: int) -> int:
+    """Number of blocks of a batch of `batch` rows; the last one may be shorter."""
+    return -(-batch // BLOCK_ROWS)
 
 
-class Parts:
-    """Runs kernels over a batch; each part leaves what it finds in its own scratch.
+class RowBlocks:
+    """Runs kernels over a batch; each block writes its results to its own workspace.
 
-    BLAS is told to use the calling thread alone: its own threads would get in the way.
+    Limits BLAS to the calling thread: BLAS threads would compete with these.
 
     Args:
-        scratch: one entry a part.
-        threads: how many share the parts.
+        workspaces: one for each block.
+        threads: number of threads that run the blocks.
     """
 
-    def __init__(self, scratch: Sequence[Any], threads: int) -> None:
+    def __init__(self, workspaces: Sequence[Any], threads: int) -> None:
         ThreadpoolController().select(internal_api="openblas").limit(limits=1)
-        self._scratch = scratch
-        self._threads = min(threads, len(scratch))
+        self._workspaces = workspaces
+        self._threads = min(threads, len(workspaces))
         self._pool = ThreadPoolExecutor(max(1, self._threads - 1), "manip-learn")
 
     def run(self, kernel: Kernel, shared: Any, *inputs: Tensor) -> None:
-        """Call the kernel for every part of the inputs, [B, ...] each."""
-        pieces = zip(*(tensor.split(PART) for tensor in inputs), strict=True)
-        jobs = [
-            (shared, *(piece.numpy() for piece in part), scratch)
-            for part, scratch in zip(pieces, self._scratch, strict=True)
+        """Call the kernel for every block of the inputs, [B, ...] each."""
+        blocks = zip(*(tensor.split(BLOCK_ROWS) for tensor in inputs), strict=True)
+        calls = [
+            (shared, *(part.numpy() for part in block), workspace)
+            for block, workspace in zip(blocks, self._workspaces, strict=True)
         ]
-        others = [
-            self._pool.submit(_run_all, kernel, jobs[thread :: self._threads])
+        futures = [
+            self._pool.submit(_run_all, kernel, calls[thread :: self._threads])
             for thread in range(1, self._threads)
         ]
-        _run_all(kernel, jobs[:: self._threads])
-        for other in others:
-            other.result()
+        _run_all(kernel, calls[:: self._threads])
+        for future in futures:
+            future.result()
 
 
-def _run_all(kernel: Kernel, jobs: Sequence[tuple[Any, ...]]) -> None:
-    for job in jobs:
-        kernel(*job)
+def _run_all(kernel: Kernel, calls: Sequence[tuple[Any, ...]]) -> None:
+    for arguments in calls:
+        kernel(*arguments)

@@ -1,4 +1,4 @@
-"""Tasks as dm_env environments: one world, observed in named parts."""
+"""Tasks as dm_env environments, observed in named parts."""
 
 from typing import Any
 
@@ -7,13 +7,13 @@ import numpy as np
 from dm_env import specs
 
 from manip.envs.make_batch import Backend, make_batch
-from manip.envs.task_batch import TimeStep
+from manip.envs.time_step import TimeStep
 
 Array = np.ndarray
 
 
 class TaskEnvironment(dm_env.Environment):
-    """One world of a task.
+    """One environment of a task.
 
     An observation is a dict of the task's parts, [k] float32 each. At the time limit
     the discount is 1, where the task failed it is 0.
@@ -24,46 +24,46 @@ class TaskEnvironment(dm_env.Environment):
         options: as in `NativeBatch` or `StockBatch` (robot, horizon, seed, ...).
 
     Attributes:
-        success: whether the goal holds now.
+        success: whether the goal is reached now.
     """
 
     def __init__(self, task: str, backend: Backend = "native", **options: Any) -> None:
-        self._worlds = make_batch(task, backend=backend, **options)
+        self.batch = make_batch(task, backend=backend, **options)
         self._over = True
         self.success = False
 
     def reset(self) -> dm_env.TimeStep:
         """Start the next episode."""
-        self._worlds.begin(np.zeros(1, np.int64))
+        self.batch.begin(np.zeros(1, np.int64))
         self._over = False
-        return dm_env.restart(self._observation(self._worlds.observe()))
+        return dm_env.restart(self._observation(self.batch.observe()))
 
     def step(self, action: Array) -> dm_env.TimeStep:
         """Take an action [A]; after the end of an episode, start the next."""
         if self._over:
             return self.reset()
-        time_step = self._worlds.step(np.asarray(action)[None])
+        time_step = self.batch.step(np.asarray(action)[None])
         self._over = bool(time_step.done[0])
-        found, reward = self._observation(time_step), float(time_step.reward[0])
+        observation = self._observation(time_step)
+        reward = float(time_step.reward[0])
         if time_step.terminated[0]:
-            return dm_env.termination(reward, found)
+            return dm_env.termination(reward, observation)
         if time_step.truncated[0]:
-            return dm_env.truncation(reward, found)
-        return dm_env.transition(reward, found)
+            return dm_env.truncation(reward, observation)
+        return dm_env.transition(reward, observation)
 
     def observation_spec(self) -> dict[str, specs.Array]:
-        """Part -> its shape."""
+        """Part name -> its shape and dtype."""
         return {
-            name: specs.Array((part.stop - part.start,), np.float32, name)
-            for name, part in self._worlds.layout.items()
+            part.name: specs.Array(part.shape, np.float32, part.name)
+            for part in self.batch.observation_spec.parts
         }
 
     def action_spec(self) -> specs.BoundedArray:
         """[A] in [-1, 1]."""
-        shape = (self._worlds.action_dim,)
+        shape = (self.batch.action_dim,)
         return specs.BoundedArray(shape, np.float32, -1.0, 1.0, "action")
 
     def _observation(self, time_step: TimeStep) -> dict[str, Array]:
         self.success = bool(time_step.success[0])
-        layout = self._worlds.layout.items()
-        return {name: time_step.observation[0, part] for name, part in layout}
+        return self.batch.observation_spec.split(time_step.observation[0])

@@ -1,4 +1,4 @@
-"""Tasks as Gymnasium environments: N worlds in a VectorEnv, or one in an Env.
+"""Tasks as Gymnasium environments: N in a VectorEnv, or one in an Env.
 
 Importing this module registers every task as `manip/<task>-v0`:
 
@@ -8,11 +8,28 @@ Importing this module registers every task as `manip/<task>-v0`:
     envs = gymnasium.make_vec("manip/Lift-v0", num_envs=64)  # the batch engine
     env = gymnasium.make("manip/Lift-v0", backend="stock")  # robosuite itself
 
-`info` says `success`, and `milestones` and `reward_terms` by their names. A time limit is a
-truncation; so is a world that breaks.
+`info` holds `success`, and `milestones` and `reward_terms` by their names. A time limit
+is a truncation, and so is a simulation that diverges.
+
+Options of both functions:
+
+    robot             arm name, or RobotConfig(arm, controller, control_freq)
+    reward            reward set: "shaped" or "stock"
+    reward_weights    {term: weight} that replace those of the set
+    fidelity          "exact" or "fast" physics (batch engine)
+    threads           native threads (batch engine)
+    stagger           begin the first episodes at random times (batch engine)
+    restart_fraction  fraction of episodes from visited states (batch engine)
+    max_episode_steps length of an episode [control steps]; the task's own by default
+
+Of `gymnasium.make`, and `make_vec(..., vectorization_mode="sync" | "async")`, only:
+
+    backend           "native" or "stock"
+    hard_reset        rebuild the model at every reset (stock)
+    render_mode       "rgb_array" to render
 """
 
-import atexit
+import warnings
 from collections.abc import Generator, Iterator, Mapping
 from typing import Any
 
@@ -22,30 +39,32 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from manip.envs.make_batch import PANDA, Backend, make_batch
-from manip.envs.task_batch import TaskBatch, TimeStep
+from manip.envs.make_batch import PANDA, Backend, make_batch, robot_config_of
+from manip.envs.task_batch import TaskBatch
 from manip.envs.task_registry import load_task, task_names
+from manip.envs.time_step import TimeStep
+from manip.errors import MOST, UserError
 from manip.robot_config import RobotConfig
 from manip.sim.renderer import render_frames
 
 Array = np.ndarray
 
-ENDLESS = 2**62
+ENDLESS = MOST
 """Horizon of an Env, whose time limit is a wrapper of Gymnasium's."""
 
 
 class TaskVectorEnv(VectorEnv):
-    """N worlds of a task on the batch engine: what `gymnasium.make_vec` makes.
+    """N environments of a task on the batch engine, as `gymnasium.make_vec` makes.
 
-    A world that ends starts its next episode in the same step, which returns the new
-    observation; `info["final_obs"]` and `info["final_info"]` hold the end of the old
-    one. World w has the same episodes whatever N is.
+    An environment that ends starts its next episode in the same step, which returns
+    the new observation; `info["final_obs"]` and `info["final_info"]` hold the end of
+    the old one. Environment i has the same episodes for any N.
 
     Args:
         task: name of the task, or package.module:Task.
         num_envs: N.
-        max_episode_steps: length of an episode; the task's own unless given.
-        options: as in `manip.envs.backends.native_batch.NativeBatch`, without the seed.
+        max_episode_steps: length of an episode; the task's own by default.
+        options: see the module's table.
     """
 
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
@@ -70,7 +89,7 @@ class TaskVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Start an episode in every world: the seed's first one if a seed is given."""
+        """Start an episode everywhere: the seed's first one if a seed is given."""
         super().reset(seed=seed)
         _begin(self, seed)
         time_step = self.batch.observe()
@@ -79,7 +98,7 @@ class TaskVectorEnv(VectorEnv):
         )
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        """Take actions [N, A]; observations [N, D], rewards, ends [N], and info."""
+        """Take actions [N, A]: observations [N, D], rewards and ends [N], and info."""
         time_step = now = self.batch.step(actions)
         ends: dict[str, Any] = {}
         if time_step.done.any():
@@ -97,14 +116,14 @@ class TaskVectorEnv(VectorEnv):
 
 
 class TaskEnv(gymnasium.Env):
-    """One world of a task: what `gymnasium.make` makes, with a time limit around it.
+    """One environment of a task, which `gymnasium.make` wraps in a time limit.
 
     Args:
         task: name of the task, or package.module:Task.
         backend: "native" for the batch engine, "stock" for robosuite itself.
         render_mode: "rgb_array", if `render` is to draw.
-        robot: arm, controller and control frequency.
-        options: as in `NativeBatch` or `StockBatch`, without the seed.
+        robot: arm name, or arm, controller and control frequency.
+        options: see the module's table.
     """
 
     metadata = {"render_modes": ["rgb_array"]}
@@ -115,9 +134,10 @@ class TaskEnv(gymnasium.Env):
         *,
         backend: Backend = "native",
         render_mode: str | None = None,
-        robot: RobotConfig = PANDA,
+        robot: RobotConfig | str = PANDA,
         **options: Any,
     ) -> None:
+        robot = robot_config_of(robot)
         self.metadata = self.metadata | {"render_fps": robot.control_freq}
         self.batch = make_batch(
             task, backend=backend, robot=robot, horizon=ENDLESS, seed=0, **options
@@ -125,7 +145,7 @@ class TaskEnv(gymnasium.Env):
         self.observation_space = _observation_space(self.batch)
         self.action_space = _action_space(self.batch)
         self.render_mode = render_mode
-        self._film: Generator[Array, None, None] | None = None
+        self._frames: Generator[Array, None, None] | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -138,7 +158,7 @@ class TaskEnv(gymnasium.Env):
         return time_step.observation[0], _first(_info(time_step))
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Take an action [A]; observation [D], reward, terminated, truncated, info."""
+        """Take an action [A]: observation [D], reward, terminated, truncated, info."""
         time_step = self.batch.step(np.asarray(action)[None])
         return (
             time_step.observation[0],
@@ -149,44 +169,41 @@ class TaskEnv(gymnasium.Env):
         )
 
     def render(self) -> Array | None:
-        """The world as it is now, uint8 [480, 640, 3], if the mode is "rgb_array"."""
+        """The present state, uint8 [480, 640, 3], if the mode is "rgb_array"."""
         if self.render_mode is None:
             return None
-        if self._film is None:
-            self._film = render_frames(self.batch.visual_model(0), _poses(self.batch))
-            atexit.register(self._film.close)  # before OpenGL itself ends
-        return next(self._film)
+        if self._frames is None:
+            self._frames = render_frames(self.batch.visual_model(0), _poses(self.batch))
+        return next(self._frames)
 
     def close(self) -> None:
-        """Let go of the renderer."""
-        if self._film:
-            atexit.unregister(self._film.close)
-            self._film.close()
-            self._film = None
+        """Close the renderer."""
+        if self._frames:
+            self._frames.close()
+            self._frames = None
 
 
-def _poses(worlds: TaskBatch) -> Iterator[Array]:
+def _poses(batch: TaskBatch) -> Iterator[Array]:
     while True:
-        yield worlds.read()["qpos"][0]
+        yield batch.read()["qpos"][0]
 
 
-def _observation_space(worlds: TaskBatch) -> Box:
-    width = max(part.stop for part in worlds.layout.values())
-    return Box(-np.inf, np.inf, (width,), np.float32)
+def _observation_space(batch: TaskBatch) -> Box:
+    return Box(-np.inf, np.inf, (batch.observation_spec.dim,), np.float32)
 
 
-def _action_space(worlds: TaskBatch) -> Box:
-    return Box(-1.0, 1.0, (worlds.action_dim,), np.float32)
+def _action_space(batch: TaskBatch) -> Box:
+    return Box(-1.0, 1.0, (batch.action_dim,), np.float32)
 
 
 def _begin(env: TaskEnv | TaskVectorEnv, seed: int | None) -> None:
-    """Start episodes; without any seed so far, those of a seed drawn by chance."""
-    worlds = env.batch
-    if seed is None and worlds.episode[0] < 0:
+    """Start episodes; without any seed so far, those of a random seed."""
+    batch = env.batch
+    if seed is None and batch.episode[0] < 0:
         seed = int(env.np_random.integers(2**63))
     if seed is not None:
-        worlds.restart(seed)
-    worlds.begin(np.arange(worlds.num_envs))
+        batch.restart(seed)
+    batch.begin(np.arange(batch.num_envs))
 
 
 def _info(time_step: TimeStep) -> dict[str, Any]:
@@ -200,36 +217,46 @@ def _info(time_step: TimeStep) -> dict[str, Any]:
 
 def _final(time_step: TimeStep) -> dict[str, Any]:
     observations = np.full(len(time_step.done), None, object)
-    for world in np.flatnonzero(time_step.done):
-        observations[world] = time_step.observation[world]
+    for env_id in np.flatnonzero(time_step.done):
+        observations[env_id] = time_step.observation[env_id]
     return {"final_obs": observations, "final_info": _info(time_step)}
 
 
 def _first(info: Mapping[str, Any]) -> dict[str, Any]:
-    """The info of world 0 alone, in Python's numbers."""
+    """The info of environment 0 alone, in Python's numbers."""
     return {
         name: _first(value) if isinstance(value, dict) else value[0].item()
         for name, value in info.items()
     }
 
 
-def _batched(info: Mapping[str, Any], of: Array) -> dict[str, Any]:
-    """Info as Gymnasium batches it: beside every entry, whose it is; 0 elsewhere."""
-    found: dict[str, Any] = {}
+def _batched(info: Mapping[str, Any], has_entry: Array) -> dict[str, Any]:
+    """Info as Gymnasium batches it: each entry, 0 where it is missing, and a mask."""
+    batched: dict[str, Any] = {}
     for name, value in info.items():
         if isinstance(value, dict):
-            found[name] = _batched(value, of)
+            batched[name] = _batched(value, has_entry)
         else:
-            found[name] = value if value.dtype == object else value * of
-        found[f"_{name}"] = of.copy()
-    return found
+            batched[name] = value if value.dtype == object else value * has_entry
+        batched[f"_{name}"] = has_entry.copy()
+    return batched
+
+
+def _register(name: str) -> None:
+    """Register a task; one that cannot be loaded must not hide the others."""
+    try:
+        horizon = load_task(name).horizon
+    except UserError as error:
+        warnings.warn(f"manip/{name}-v0 is not registered: {error}", stacklevel=2)
+        return
+    gymnasium.register(
+        f"manip/{name}-v0",
+        entry_point=f"{__name__}:TaskEnv",
+        vector_entry_point=f"{__name__}:TaskVectorEnv",
+        max_episode_steps=horizon,
+        kwargs={"task": name},
+    )
 
 
 for _name in task_names():
-    gymnasium.register(
-        f"manip/{_name}-v0",
-        entry_point=f"{__name__}:TaskEnv",
-        vector_entry_point=f"{__name__}:TaskVectorEnv",
-        max_episode_steps=load_task(_name).horizon,
-        kwargs={"task": _name},
-    )
+    _register(_name)

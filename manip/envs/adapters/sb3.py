@@ -14,66 +14,70 @@ Array = np.ndarray
 
 
 class Sb3VecEnv(VecEnv):
-    """A VecEnv of a Gymnasium VectorEnv whose worlds restart in the step they end.
+    """A VecEnv of a Gymnasium VectorEnv with autoreset in the same step.
 
     `SAC("MlpPolicy", Sb3VecEnv(gymnasium.make_vec("manip/Reach-v0", num_envs=16)))`.
-    `info` holds what Stable-Baselines3 looks for at an episode's end:
+    At the end of an episode `info` holds the keys that Stable-Baselines3 reads:
     `terminal_observation`, `TimeLimit.truncated` and `is_success`.
     """
 
     def __init__(self, envs: VectorEnv) -> None:
         mode = envs.metadata.get("autoreset_mode")
         if mode != AutoresetMode.SAME_STEP:
-            raise UserError(f"the worlds must restart in the same step, not {mode}")
+            raise UserError(f"environments must restart in the same step, not {mode}")
         self.envs = envs
         super().__init__(
             envs.num_envs, envs.single_observation_space, envs.single_action_space
         )
 
     def reset(self) -> Array:
-        """Start an episode in every world; observations [N, D]."""
+        """Start an episode in every environment; observations [N, D]."""
         observation, _ = self.envs.reset(seed=self._seeds[0])
         self._reset_seeds()
         return observation
 
     def step_async(self, actions: Array) -> None:
-        """Keep the actions [N, A] for `step_wait`."""
+        """Store the actions [N, A] for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Array, Array, Array, list[dict[str, Any]]]:
-        """Take them: observations [N, D], rewards [N], done [N], infos."""
+        """Take the actions: observations [N, D], rewards [N], done [N], infos."""
         observation, reward, terminated, truncated, info = self.envs.step(self._actions)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         done = terminated | truncated
-        for world in np.flatnonzero(done):
-            infos[world] = {
-                "terminal_observation": info["final_obs"][world],
-                "TimeLimit.truncated": bool(truncated[world] & ~terminated[world]),
-                "is_success": bool(info["final_info"]["success"][world]),
+        for env_id in np.flatnonzero(done):
+            infos[env_id] = {
+                "terminal_observation": info["final_obs"][env_id],
+                "TimeLimit.truncated": bool(truncated[env_id] & ~terminated[env_id]),
+                "is_success": bool(info["final_info"]["success"][env_id]),
             }
         return observation, reward.astype(np.float32), done, infos
 
     def close(self) -> None:
-        """Close the worlds."""
+        """Close the environments."""
         self.envs.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The vector environment's attribute, once for each world."""
+        """The vector environment's attribute, once for each environment."""
         value = getattr(self.envs, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Not possible: worlds have no attributes of their own."""
-        raise NotImplementedError("worlds of a batch have no attributes of their own")
+        """Not possible: environments have no attributes of their own."""
+        raise NotImplementedError(
+            "environments of a batch have no attributes of their own"
+        )
 
     def env_method(
         self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
     ) -> list[Any]:
-        """Not possible: worlds have no methods of their own."""
-        raise NotImplementedError("worlds of a batch have no methods of their own")
+        """Not possible: environments have no methods of their own."""
+        raise NotImplementedError(
+            "environments of a batch have no methods of their own"
+        )
 
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper], indices: Any = None
     ) -> Sequence[bool]:
-        """Never: what wraps the batch wraps no single world."""
+        """Never: what wraps the batch wraps no single environment."""
         return [False for _ in self._get_indices(indices)]

@@ -1,10 +1,17 @@
-"""Tasks as TorchRL environments: on the batch engine, and stepped by their libraries.
+"""Tasks as TorchRL environments.
 
-Keys, with N worlds: `observation` [N, D] float32 (see `TaskBatch.layout`), `action` [N, A]
-in [-1, 1], `reward` [N, 1], `terminated` (the task failed, no future), `truncated`
-(time is up: bootstrap through it), `done` (either), `success` [N, 1] bool,
-`reward_terms` [N, K] float32 (names: worlds.reward_names), `milestones` [N, M] bool (names:
-task.milestone_names), and if asked for `expert_action` [N, A], what the task's script would do.
+Keys, with N environments:
+
+    observation    [N, D] float32, joined parts (`TaskEnv.parts` names them)
+    action         [N, A] float32 in [-1, 1]
+    reward         [N, 1] float32
+    terminated     [N, 1] bool, the task failed: there is no future
+    truncated      [N, 1] bool, time is up: bootstrap through it
+    done           [N, 1] bool, either
+    success        [N, 1] bool
+    reward_terms   [N, K] float32, named as `batch.reward_names`
+    milestones     [N, M] bool, named as `batch.task.milestone_names`
+    expert_action  [N, A] float32, the action of the task's expert, if requested
 """
 
 from collections.abc import Iterable
@@ -16,7 +23,8 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from manip.envs.task_batch import TaskBatch, TimeStep
+from manip.envs.task_batch import TaskBatch
+from manip.envs.time_step import TimeStep
 
 Array = np.ndarray
 
@@ -31,18 +39,18 @@ class TaskEnv(EnvBase):
 
     batch_locked = True
 
-    def __init__(self, worlds: TaskBatch, expert: bool = False) -> None:
-        super().__init__(batch_size=[worlds.num_envs], device=None)
-        self.batch = worlds
+    def __init__(self, batch: TaskBatch, expert: bool = False) -> None:
+        super().__init__(batch_size=[batch.num_envs], device=None)
+        self.batch = batch
         self._expert = expert
         shape = self.batch_size
-        width = max(part.stop for part in worlds.layout.values())
-        milestones, terms = len(worlds.task.milestone_names), len(worlds.reward_names)
+        dim = batch.observation_spec.dim
+        milestones, terms = len(batch.task.milestone_names), len(batch.reward_names)
         flag = Binary(1, (*shape, 1), dtype=torch.bool)
-        self.action_spec = Bounded(-1, 1, (*shape, worlds.action_dim))
+        self.action_spec = Bounded(-1, 1, (*shape, batch.action_dim))
         self.reward_spec = Unbounded((*shape, 1))
         self.observation_spec = Composite(
-            observation=Unbounded((*shape, width)),
+            observation=Unbounded((*shape, dim)),
             success=flag,
             milestones=Binary(milestones, (*shape, milestones), dtype=torch.bool),
             reward_terms=Unbounded((*shape, terms)),
@@ -55,17 +63,21 @@ class TaskEnv(EnvBase):
             {end: flag.clone() for end in ends}, shape=shape
         )
 
+    def parts(self, tensordict: TensorDictBase) -> dict[str, torch.Tensor]:
+        """Part name -> view [..., k] of the joined observation."""
+        return self.batch.observation_spec.split(tensordict["observation"])
+
     def observe(self) -> TensorDictBase:
-        """The worlds as they are now, as a reset returns them: nothing has ended."""
+        """The present state as a reset returns it: no episode has ended."""
         return self._tensors(self.batch.observe())
 
     def _reset(
         self, tensordict: TensorDictBase | None = None, **_: Any
     ) -> TensorDictBase:
-        worlds = np.arange(self.batch.num_envs)
+        env_ids = np.arange(self.batch.num_envs)
         if tensordict is not None and "_reset" in tensordict.keys():
-            worlds = np.flatnonzero(tensordict["_reset"].numpy())
-        self.batch.begin(worlds)
+            env_ids = np.flatnonzero(tensordict["_reset"].numpy())
+        self.batch.begin(env_ids)
         return self.observe()
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -77,7 +89,7 @@ class TaskEnv(EnvBase):
         milestones = [
             time_step.milestones[name] for name in self.batch.task.milestone_names
         ]
-        found = {
+        tensors = {
             "observation": torch.from_numpy(time_step.observation),
             "reward_terms": _columns(terms),
             "success": torch.from_numpy(time_step.success[:, None]),
@@ -87,9 +99,9 @@ class TaskEnv(EnvBase):
             "done": torch.from_numpy(time_step.done[:, None]),
         }
         if self._expert:
-            wanted = self.batch.expert().astype(np.float32)
-            found["expert_action"] = torch.from_numpy(wanted)
-        return TensorDict(found, self.batch_size)
+            expert = self.batch.expert().astype(np.float32)
+            tensors["expert_action"] = torch.from_numpy(expert)
+        return TensorDict(tensors, self.batch_size)
 
     def _set_seed(self, seed: int | None) -> None:
         self.batch.restart(seed or 0)

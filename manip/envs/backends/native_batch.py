@@ -1,51 +1,58 @@
-"""A task on the batch engine: robosuite's MDP at native speed, N worlds at once."""
+"""NativeBatch: N environments of a task on the batch engine."""
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack, get_args
 
 import numpy as np
 
-from manip.envs.backends.external_batch import ExternalTask
 from manip.envs.episode_streams import EpisodeStreams
+from manip.envs.external_task import ExternalTask
 from manip.envs.faults import Fault
-from manip.envs.restart_buffer import EVERY, RestartBuffer
+from manip.envs.option_checks import check_share, state_array
+from manip.envs.restart_buffer import INTERVAL, RestartBuffer
 from manip.envs.task import Measures, Task
-from manip.envs.task_batch import TaskBatch, TimeStep
-from manip.envs.task_check import blamed, check_start
-from manip.errors import UserError
-from manip.robot_config import RobotConfig
-from manip.sim.batch_engine import BatchEngine, Snapshot
+from manip.envs.task_batch import EpisodeOptions, TaskBatch
+from manip.envs.task_check import check_start
+from manip.envs.task_errors import blamed
+from manip.envs.time_step import TimeStep
+from manip.errors import UserError, at_least, check_choice
+from manip.robot_config import RobotConfig, check_robot_config
+from manip.sim.batch_engine import BatchEngine
+from manip.sim.engine import Snapshot
+from manip.sim.not_copied import DeepCopied
 from manip.sim.robosuite_factory import PANDA
 from manip.sim.scene import Fidelity, Scene, load_scene
 
-DUMP_FORMAT = 1
+Array = np.ndarray
+
+DUMP_FORMAT = 2
 """Version of the files that `manip replay` reads."""
 
 MOST_DUMPS = 20
-"""Files kept a run."""
+"""Most files in a dump folder."""
 
 
-class NativeBatch(TaskBatch):
-    """TaskBatch of a task on the batch engine.
+class NativeBatch(DeepCopied, TaskBatch):
+    """Step N environments in native threads.
 
     Args:
-        task: what is to be done.
+        task: the task.
         num_envs: N.
         robot: arm, controller and control frequency.
         fidelity: "exact" (stock physics) or "fast" (for training and sweeps).
-        threads: native threads; the CPUs this process may use unless given.
-        stagger: begin the first episodes at random times, so that the worlds do not
-            all end at once.
-        restart_fraction: share of the episodes that begin in a state which the worlds have
-            been in before (see `manip.envs.restart_buffer`).
+        threads: native threads; the CPUs this process may use by default.
+        stagger: begin the first episodes at random times, so that they do not all end
+            at the same step.
+        restart_fraction: fraction of the episodes that start from a previously visited
+            state (see `manip.envs.restart_buffer`).
         scene: a compiled scene to share, instead of building one.
-        dumps: folder for the steps that went wrong, a file each, for `manip replay`;
-            nothing is kept unless given.
-        horizon, reward, seed: as in `TaskBatch`.
+        dumps: folder for steps with non-finite numbers, one file each, for
+            `manip replay`; none are stored by default.
+        options: as in `TaskBatch`.
 
     Raises:
-        UserError: the task is another library's.
+        UserError: the task is another library's, or an option is out of its range.
     """
 
     def __init__(
@@ -56,16 +63,19 @@ class NativeBatch(TaskBatch):
         robot: RobotConfig = PANDA,
         fidelity: Fidelity = "exact",
         threads: int | None = None,
-        horizon: int | None = None,
-        reward: str = "shaped",
-        seed: int = 0,
         stagger: bool = False,
         restart_fraction: float = 0.0,
         scene: Scene | None = None,
         dumps: Path | None = None,
+        **options: Unpack[EpisodeOptions],
     ) -> None:
         if isinstance(task, ExternalTask):
             raise UserError(f"{task.name} is not on the batch engine")
+        at_least(1, "num_envs", num_envs)
+        at_least(1, "threads", 1 if threads is None else threads)
+        check_robot_config(robot)
+        check_choice("fidelity", fidelity, get_args(Fidelity))
+        check_share("restart_fraction", restart_fraction)
         with blamed(task):
             self.scene = scene or load_scene(
                 task.robosuite_name, task.sensors, robot, fidelity
@@ -73,15 +83,13 @@ class NativeBatch(TaskBatch):
             milestones = len(task.milestone_names)
         self.engine = BatchEngine(self.scene, num_envs, threads)
         self._stagger = stagger
-        self._own_starts = restart_fraction
-        self._bank = (
+        self._restart_fraction = restart_fraction
+        self._restarts = (
             RestartBuffer(milestones, self.engine.save()) if restart_fraction else None
         )
         self._robot, self._fidelity = robot, fidelity
         self._dumps = dumps
-        self._before = self.engine.save(), np.zeros(0)
-        action_dim = self.scene.layout.action_dim
-        super().__init__(task, num_envs, action_dim, horizon, reward, seed)
+        super().__init__(task, num_envs, self.scene.layout.action_dim, **options)
         with blamed(task):
             check_start(task, self.scene)
 
@@ -89,90 +97,93 @@ class NativeBatch(TaskBatch):
         """As `BatchEngine.read`."""
         return self.engine.read()
 
-    def visual_model(self, world: int) -> Any:
-        """A copy of the stock model with the world's model fields."""
-        return self.engine.visual_model(self.engine.states[world])
+    def _version(self) -> object:
+        return self.engine.changes
 
-    def step(self, action: np.ndarray) -> TimeStep:
-        """As `TaskBatch.step`; the bank looks at every world once in a while."""
+    def visual_model(self, env_id: int) -> Any:
+        """A copy of the stock model with the environment's model fields."""
+        return self.engine.visual_model(self.engine.states[env_id])
+
+    def step(self, action: Array) -> TimeStep:
+        """As `TaskBatch.step`; visited states go to the restart buffer."""
         time_step = super().step(action)
-        if self._bank:
-            now = (self.elapsed + np.arange(self.num_envs)) % EVERY == 0
+        if self._restarts:
+            now = (self.elapsed + np.arange(self.num_envs)) % INTERVAL == 0
             milestones = np.stack([*time_step.milestones.values()], axis=1)
-            self._bank.keep(self.engine.save(now), milestones[now])
+            self._restarts.store(self.engine.save(now), milestones[now])
         return time_step
 
-    def _start_episodes(self, worlds: np.ndarray) -> None:
-        episodes = self.episode[worlds]
-        streams = EpisodeStreams(self.seed, worlds, episodes)
+    def _start_episodes(self, env_ids: Array) -> None:
+        episodes = self.episode[env_ids]
+        streams = EpisodeStreams(self.seed, env_ids, episodes, self.purpose)
         start = self.task.sample_start(self.scene, streams)
-        self.engine.reset(worlds, start.qpos, start.fields)
+        self.engine.reset(env_ids, start.qpos, start.fields)
         if self._stagger:
             first = episodes == 0
             begun = streams.uniform(0, self.horizon, 1)[:, 0].astype(np.int64)
-            self.elapsed[worlds[first]] = begun[first]
-        if self._bank and not self._bank.empty:
-            again = streams.uniform(0, 1, 1)[:, 0] < self._own_starts
-            past = self._bank.draw(streams)
-            past = Snapshot(past.states[again], past.readings[again])
-            self.engine.restore(past, worlds[again])
+            self.elapsed[env_ids[first]] = begun[first]
+        if self._restarts and not self._restarts.empty:
+            again = streams.uniform(0, 1, 1)[:, 0] < self._restart_fraction
+            visited = self._restarts.draw(streams)
+            visited = Snapshot(visited.states[again], visited.readings[again])
+            self.engine.restore(visited, env_ids[again])
 
-    def _keep(self, worlds: np.ndarray, memory: Mapping[str, np.ndarray]) -> None:
-        self.engine.write_memory(worlds, memory)
+    def _keep(self, env_ids: Array, memory: Mapping[str, Array]) -> None:
+        self.engine.write_memory(env_ids, memory)
 
-    def _move(self, action: np.ndarray) -> np.ndarray:
-        if self._dumps:
-            self._before = self.engine.save(), action
+    def _move(self, action: Array) -> Array:
+        self._action = action
         return self.engine.step(action)
 
-    def _kept(self, fault: Fault) -> str:
-        if not self._dumps or not fault.step or _count(self._dumps) >= MOST_DUMPS:
+    def _dump(self, fault: Fault) -> str:
+        folder = self._dumps
+        if not folder or not fault.step or _count(folder) >= MOST_DUMPS:
             return ""
-        return f"; manip replay {self._dump(self._dumps, fault)}"
+        path = folder / f"{fault.name}.safetensors"
+        self._save_step(path, fault)
+        return f"; manip replay {path}"
 
-    def _dump(self, folder: Path, fault: Fault) -> Path:
-        """Keep what the world was before the step, and the action."""
+    def _save_step(self, path: Path, fault: Fault) -> None:
+        """Write the environment's state before the step, and the action."""
         from manip.io.tensor_trees import save_tree  # which loads torch
 
-        path = folder / f"{fault.name}.safetensors"
-        before, action = self._before
+        before = self.engine.before
         step = {
             "fault": fault._asdict(),
             "task": f"{type(self.task).__module__}:{type(self.task).__qualname__}",
             "robot": self._robot._asdict(),
             "fidelity": self._fidelity,
             "reward": self.reward_set,
-            "state": before.states[fault.world],
-            "readings": before.readings[fault.world],
-            "action": np.asarray(action[fault.world], float),
+            "reward_weights": self.reward_weights,
+            "state": before.states[fault.env_id],
+            "readings": before.readings[fault.env_id],
+            "action": np.asarray(self._action[fault.env_id], float),
         }
         save_tree(path, {"format": DUMP_FORMAT, **step})
-        return path
 
     def save_state(self) -> dict[str, Any]:
-        """Everything the coming steps depend on: worlds, clocks, episode counts."""
+        """Engine states, clocks, episode numbers and the restart buffer."""
         snapshot = self.engine.save()
         return {
             "states": snapshot.states,
             "readings": snapshot.readings,
-            "elapsed": self.elapsed.copy(),
-            "episode": self.episode.copy(),
-            "fault_count": self.fault_count,
-            "bank": self._bank and self._bank.save_state(),
+            **self._clocks(),
+            "restarts": self._restarts and self._restarts.save_state(),
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """Put back what `save_state` gave; `look` then shows it.
+        """Restore what `save_state` returned; `observe` then shows it.
 
         Raises:
-            ValueError: the state is of other worlds.
+            UserError: the state is of other environments.
         """
-        self.engine.restore(Snapshot(state["states"], state["readings"]))
-        self.elapsed[:] = state["elapsed"]
-        self.episode[:] = state["episode"]
-        self.fault_count = state["fault_count"]
-        if self._bank:
-            self._bank.load_state(state["bank"])
+        now = self.engine.save()
+        states = state_array(state, "states", now.states)
+        readings = state_array(state, "readings", now.readings)
+        self._restore_clocks(state)
+        if self._restarts:
+            self._restarts.load_state(state["restarts"])
+        self.engine.restore(Snapshot(states, readings))
 
 
 def _count(folder: Path) -> int:

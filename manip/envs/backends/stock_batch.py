@@ -1,32 +1,36 @@
 """A task inside a stock robosuite environment: the same readings, one world."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
+from manip.envs.episode_streams import check_seed, episode_seed
 from manip.envs.task import Measures, Task
-from manip.envs.task_batch import TaskBatch
+from manip.envs.task_batch import EpisodeOptions, TaskBatch
 from manip.robot_config import RobotConfig
+from manip.sim.not_copied import NotCopied
 from manip.sim.robosuite_factory import PANDA, make_stock, reseed
+from manip.sim.stock_check import check_stock
 from manip.sim.stock_reader import stock_reader
 
 Array = np.ndarray
 
 
-class StockBatch(TaskBatch):
+class StockBatch(NotCopied, TaskBatch):
     """One world of a task, stepped by `robosuite.make(...)` itself.
 
     Mends what robosuite's GymWrapper gets wrong: the time limit is `truncated`,
-    success is reported, and a seed fixes the episodes (episode e starts from
-    `seed + e`).
+    success is reported, and a seed fixes the episodes (see `episode_seed`).
 
     Args:
         task: what is to be done.
-        robot, horizon, reward, seed: as in `NativeBatch`.
+        robot: arm, controller and control frequency.
         hard_reset: rebuild the model at every reset, as robosuite does by default;
             what it samples when it builds (Lift's cube size) then varies.
-        stock: a robosuite environment to use, instead of making one.
+        stock: a robosuite environment to step, instead of building one. It must be
+            what `make_stock(task.robosuite_name, robot)` builds (see `check_stock`).
+        options: as in `TaskBatch`.
     """
 
     def __init__(
@@ -34,22 +38,23 @@ class StockBatch(TaskBatch):
         task: Task,
         *,
         robot: RobotConfig = PANDA,
-        horizon: int | None = None,
-        reward: str = "shaped",
-        seed: int = 0,
         hard_reset: bool = False,
         stock: Any = None,
+        **options: Unpack[EpisodeOptions],
     ) -> None:
         self.stock = stock or make_stock(
             task.robosuite_name,
             robot,
-            seed,
+            check_seed(options.get("seed", 0)),
             hard_reset=hard_reset,
         )
+        if stock is not None:
+            horizon = options.get("horizon") or task.horizon
+            check_stock(stock, task.robosuite_name, robot, horizon)
         self._reader = stock_reader(self.stock, task.sensors)
         self._memory = _blank(task)
         action_dim = self.stock.action_dim
-        super().__init__(task, 1, action_dim, horizon, reward, seed)
+        super().__init__(task, 1, action_dim, **options)
 
     def read(self) -> Measures:
         """As `manip.sim.stock_reader.stock_reader`."""
@@ -60,7 +65,9 @@ class StockBatch(TaskBatch):
         return self.stock.sim.model._model
 
     def _start_episodes(self, worlds: Array) -> None:
-        reseed(self.stock, self.seed + int(self.episode[0]))
+        reseed(
+            self.stock, episode_seed(self.seed, self.purpose, 0, int(self.episode[0]))
+        )
         self.stock.reset()
         self._memory = _blank(self.task)
         if self.stock.hard_reset:

@@ -1,0 +1,68 @@
+"""Exploration of off-policy algorithms: a copy of the actor, with noise."""
+
+from collections.abc import Callable
+from copy import deepcopy
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Generator, Tensor
+
+from manip.agents.networks import Actor, BinnedActor, seeded_generator
+
+Explore = Callable[[Any, Tensor, Generator], Tensor]
+"""(actor, observation [N, D], random generator) -> action [N, A] / action_scale."""
+
+BURST = 0.9
+"""Gripper command of a burst: inside the range, where tanh has an inverse."""
+
+
+class RolloutPolicy(TensorDictModuleBase):
+    """Explore with a copy of the actor.
+
+    A gripper takes ten steps from closed to open, so noise of single steps never opens
+    a gripper that the actor keeps closed. In a burst the gripper opens, or closes, for
+    a whole rollout.
+
+    Args:
+        explore: draws an action; see `Explore`.
+        warm_up: draw uniform actions instead.
+        bursts: fraction of the environments whose gripper has a burst.
+    """
+
+    in_keys = ["observation"]
+    out_keys = ["action"]
+
+    def __init__(
+        self,
+        actor: Actor | BinnedActor,
+        explore: Explore,
+        warm_up: bool = False,
+        bursts: float = 0.0,
+    ) -> None:
+        super().__init__()
+        self._actor, self._warm_up, self._bursts = deepcopy(actor), warm_up, bursts
+        self._explore, self._generator = explore, seeded_generator()
+        self._gripper: Tensor | None = None
+
+    @torch.no_grad()
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write `action` [N, A]."""
+        unit = self._draw(tensordict["observation"])
+        if self._gripper is None:
+            self._gripper = self._draw_bursts(len(unit))
+        unit[:, -1] = self._gripper.where(self._gripper != 0, unit[:, -1])
+        return tensordict.set("action", self._actor.action_scale * unit)
+
+    def _draw(self, observation: Tensor) -> Tensor:
+        if self._warm_up:
+            shape = (len(observation), len(self._actor.action_scale))
+            return torch.rand(shape, generator=self._generator) * 2 - 1
+        return self._explore(self._actor, observation, self._generator)
+
+    def _draw_bursts(self, num_envs: int) -> Tensor:
+        """Draw the gripper's commands [N] for the rollout; 0 leaves it to the actor."""
+        unit = torch.rand(num_envs, generator=self._generator)
+        command = torch.where(unit < self._bursts / 2, BURST, -BURST)
+        return command * (unit < self._bursts)

@@ -1,0 +1,43 @@
+"""Keys of a rollout: what an environment and a policy leave for an algorithm.
+
+A rollout is a TensorDict of shape [N, T]: T control steps of N environments. Step t of
+an environment continues where step t - 1 stopped, also across rollouts, unless an
+episode ended there; the step after an end is the first one of the next episode.
+
+| key | shape | what |
+|---|---|---|
+| observation | [N, T, D] float32 | what the policy saw |
+| action | [N, T, A] float32 | what it did, in [-1, 1] before clipping |
+| action_log_prob | [N, T] float32 | log pi(a, s), from on-policy algorithms |
+| expert_action | [N, T, A] float32 | the expert's, if the agent imitates |
+| next, observation | [N, T, D] float32 | the true successor, also at an end |
+| next, reward | [N, T, 1] float32 | reward of the step |
+| next, reward_terms | [N, T, K] float32 | the task's raw reward terms |
+| next, terminated | [N, T, 1] bool | the task failed: no future, do not bootstrap |
+| next, truncated | [N, T, 1] bool | the time is up: bootstrap from the successor |
+| next, done | [N, T, 1] bool | terminated or truncated |
+| next, success | [N, T, 1] bool | the task's success condition holds |
+"""
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+
+def episode_starts(ended: Tensor, fresh: Tensor) -> Tensor:
+    """Mark the first steps of episodes.
+
+    Args:
+        ended: [N, T] bool, steps at which an episode ended.
+        fresh: [N] bool, environments whose first step begins an episode.
+
+    Returns:
+        [N, T] bool.
+    """
+    return torch.cat([fresh[:, None], ended[:, :-1]], 1)
+
+
+def reward_terms(batch: TensorDictBase) -> Tensor:
+    """Return the raw reward terms [N, T, K]; K is 0 where the environment has none."""
+    terms = batch["next"].get("reward_terms", None)
+    return batch["next", "reward"][..., :0] if terms is None else terms

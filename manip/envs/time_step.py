@@ -1,0 +1,62 @@
+"""What a batch of environments returns for one control step."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+Array = np.ndarray
+
+
+class TimeStep(NamedTuple):
+    """The state of N environments at one instant.
+
+    Attributes:
+        observation: [N, D] float32, the joined parts of `TaskBatch.observation_spec`.
+        reward: [N], the weighted sum of the reward terms.
+        reward_terms: name -> [N] raw terms, named as `TaskBatch.reward_names`.
+        success: [N] bool.
+        milestones: name -> [N] bool, named as `Task.milestone_names`.
+        terminated: [N] bool, the task failed: there is no future.
+        truncated: [N] bool, time is up or the simulation diverged: bootstrap.
+    """
+
+    observation: Array
+    reward: Array
+    reward_terms: Mapping[str, Array]
+    success: Array
+    milestones: Mapping[str, Array]
+    terminated: Array
+    truncated: Array
+
+    @property
+    def done(self) -> Array:
+        """[N] bool: the episode is over."""
+        return self.terminated | self.truncated
+
+    def finite(self) -> Array:
+        """[N] bool: reward and observation are finite."""
+        finite: Array = np.isfinite(self.reward)
+        return finite & np.isfinite(self.observation).all(axis=1)
+
+    def cut_off(self, valid: Array, last_observation: Array) -> "TimeStep":
+        """Truncate environments whose numbers are not valid [N] bool.
+
+        They keep the observation that they had before, and earn nothing.
+        """
+
+        def zeroed(named: Mapping[str, Array]) -> dict[str, Array]:
+            return {
+                name: np.where(valid, values, 0).astype(values.dtype)
+                for name, values in named.items()
+            }
+
+        return TimeStep(
+            observation=np.where(valid[:, None], self.observation, last_observation),
+            reward=np.where(valid, self.reward, 0.0),
+            reward_terms=zeroed(self.reward_terms),
+            success=self.success & valid,
+            milestones=zeroed(self.milestones),
+            terminated=self.terminated & valid,
+            truncated=self.truncated | ~valid,
+        )

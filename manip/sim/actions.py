@@ -1,0 +1,42 @@
+"""Check the actions that a user hands over."""
+
+from typing import Any
+
+import numpy as np
+
+from manip.errors import UserError, shown
+
+Array = np.ndarray
+
+
+def checked_actions(action: Any, num_envs: int, action_dim: int) -> Array:
+    """Return an action as float64 [num_envs, action_dim].
+
+    NaN passes: it breaks its own environment only.
+
+    Raises:
+        UserError: it has another shape, or holds something else than real numbers.
+    """
+    expected = num_envs, action_dim
+    try:
+        values = np.asarray(action)
+    except (
+        RuntimeError,
+        TypeError,
+        ValueError,
+    ):  # ragged, or needs gradients
+        raise _not_numbers(action, expected) from None
+    if values.dtype.kind not in "biuf":
+        raise _not_numbers(action, expected)
+    if values.shape != expected:
+        raise UserError(
+            f"the action has shape {values.shape}, expected {expected}, that is "
+            "(num_envs, action_dim)"
+        )
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def _not_numbers(action: Any, expected: tuple[int, int]) -> UserError:
+    return UserError(
+        f"the action must be real numbers of shape {expected}, not {shown(action)}"
+    )

@@ -1,0 +1,82 @@
+"""Memory that a run will need, compared with what there is before it begins."""
+
+import os
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from manip.errors import UserError, one_line, out_of_memory
+from manip.training.config import TrainConfig
+
+CGROUP = Path("/sys/fs/cgroup")
+"""Limits of the container that this process runs in (cgroup v2)."""
+
+FLOAT_BYTES = 4
+
+
+def check_memory(config: TrainConfig, observation_dim: int, action_dim: int) -> None:
+    """Check that the replay buffer fits, before anything is allocated.
+
+    A step needs at least its observation, action and next observation, as float32.
+
+    Raises:
+        UserError: it does not fit.
+    """
+    capacity = getattr(config.agent, "buffer_size", 0)
+    step = FLOAT_BYTES * (2 * observation_dim + action_dim)
+    _compare(capacity * step, address_space(), capacity)
+    _compare(min(capacity, config.steps) * step, available_memory(), capacity)
+
+
+def _compare(needed: int, available: int, capacity: int) -> None:
+    if needed > available:
+        raise UserError(
+            f"not enough memory: a replay buffer of {capacity:,} steps needs at least "
+            f"{needed / 2**30:,.1f} GiB, of which {available / 2**30:,.1f} GiB are "
+            "free: choose a smaller --agent.buffer-size"
+        )
+
+
+def address_space() -> int:
+    """Bytes that this process may still allocate under `ulimit -v`."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit == resource.RLIM_INFINITY:
+        return 2**63
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    return max(0, limit - pages * os.sysconf("SC_PAGE_SIZE"))
+
+
+def available_memory() -> int:
+    """Bytes of memory that are free on this machine, or in this container."""
+    lines = Path("/proc/meminfo").read_text().splitlines()
+    kibibytes = {line.split(":")[0]: int(line.split()[1]) for line in lines}
+    machine = (kibibytes["MemAvailable"] + kibibytes["SwapFree"]) * 1024
+    return min(machine, _container_memory())
+
+
+def _container_memory() -> int:
+    """Bytes that the container's limit leaves; no limit is a very large number."""
+    try:
+        limit = int((CGROUP / "memory.max").read_text())
+        used = int((CGROUP / "memory.current").read_text())
+    except (OSError, ValueError):  # no container, or "max"
+        return 2**63
+    return max(0, limit - used)
+
+
+@contextmanager
+def memory_errors() -> Iterator[None]:
+    """While inside, turn the errors of all allocators into `UserError`.
+
+    Raises:
+        UserError: Python, numpy, torch or another library found no memory.
+    """
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:
+        if not out_of_memory(error):
+            raise
+        raise UserError(f"not enough memory: {one_line(error)}") from error

@@ -1,0 +1,122 @@
+"""Train from Python: one call, in any thread or process.
+
+    from manip.training.checkpoint import Checkpoints
+from manip.training.config import recipe
+    from manip.training.run import train
+
+    result = train(recipe("Lift", "sac"), callback=print)
+"""
+
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+
+from manip.rewards.reward_function import EnvironmentReward, RewardFunction
+from manip.training.checkpoint import Checkpoints
+from manip.training.config import TrainConfig
+from manip.training.memory import memory_errors
+from manip.training.progress import Callback, ignore
+from manip.training.run_state import RunState
+from manip.training.trainer import Trainer
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What a run came to.
+
+    Attributes:
+        folder: the run folder.
+        env_steps: control steps taken, over all processes of the run.
+        seconds: wall time of training and evaluation [s].
+        finished: False if the run was stopped on the way; it can be resumed.
+        success: success_once, success_at_end and success_held of the best evaluation;
+            empty before the first.
+        policy: folder of the best policy; there is none before the first evaluation.
+    """
+
+    folder: Path
+    env_steps: int
+    seconds: float
+    finished: bool
+    success: dict[str, float]
+    policy: Path
+
+
+def train(
+    config: TrainConfig,
+    *,
+    callback: Callback | None = None,
+    reward: RewardFunction | None = None,
+    stop: threading.Event | None = None,
+) -> RunResult:
+    """Train a policy.
+
+    On the main thread, Ctrl-C, SIGTERM and SIGHUP save the run and end it. On other
+    threads signals keep their meaning: use `stop`. While the run goes on, torch uses
+    one thread, as the sums of several would differ.
+
+    Args:
+        config: options of the run; `manip.training.config.recipe` gives tuned ones.
+        callback: called with a `Progress` after every rollout and evaluation, on this
+            thread. What it raises ends the run.
+        reward: computes the reward that the agent learns from, for each rollout; the
+            environment's reward by default. Called on the threads that collect.
+        stop: set it to have the run save and end after its current update.
+
+    Raises:
+        UserError: an option does not fit, the folder holds another run or other files,
+            or disk or memory are full.
+    """
+    with _one_torch_thread(), memory_errors():
+        trainer = Trainer(
+            config,
+            callback or ignore,
+            reward or EnvironmentReward(),
+            stop or threading.Event(),
+        )
+        with closing(trainer):
+            finished = trainer.run()
+    return _result(config.folder, trainer.state, finished)
+
+
+def train_or_resume(
+    config: TrainConfig, *, callback: Callback | None = None
+) -> RunResult:
+    """Train, or go on with the run that the folder holds."""
+    resume = Checkpoints(config.folder).exist()
+    return train(replace(config, resume=resume), callback=callback)
+
+
+def _result(folder: Path, state: RunState, finished: bool) -> RunResult:
+    return RunResult(
+        folder=folder,
+        env_steps=state.env_steps,
+        seconds=state.seconds,
+        finished=finished,
+        success=_success(state.rows, state.best),
+        policy=folder / "policy",
+    )
+
+
+def _success(rows: Sequence[dict[str, float]], best: list[float]) -> dict[str, float]:
+    """Success of the evaluation with the best score."""
+    kinds = ("success_once", "success_at_end", "success_held")
+    for row in rows:
+        if [row["eval/success_held"], row["eval/return"]] == best:
+            return {kind: row[f"eval/{kind}"] for kind in kinds}
+    return {}
+
+
+@contextmanager
+def _one_torch_thread() -> Iterator[None]:
+    """Have torch use one thread, and as many as before afterwards."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)

@@ -1,0 +1,74 @@
+"""The parts of a training run, built from its options."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from manip.agents.agent import Agent
+from manip.envs.adapters.torchrl import TaskEnv
+from manip.rewards.reward_function import RewardFunction
+from manip.training.averages import TrainingAverages
+from manip.training.build import build_agent, overlaps, training_envs
+from manip.training.collector import Collector
+from manip.training.config import TrainConfig
+from manip.training.evaluator import Evaluator
+from manip.training.fault_report import FaultReport
+from manip.training.memory import check_memory
+from manip.training.nan_guard import NanGuard
+from manip.training.reward_weights import effective_weights
+
+
+@dataclass(frozen=True)
+class RunParts:
+    """Environments, agent, and what watches them.
+
+    Attributes:
+        envs: training environments, one batch for each of the agent's workers.
+        agent: the algorithm.
+        evaluator: evaluates the agent's policy, in environments of its own.
+        collector: collects rollouts with the agent in `envs`.
+        guard: checks the agent's gradients and losses.
+        averages: recent training averages.
+        faults: reports what went wrong in environments and updates.
+    """
+
+    envs: Sequence[TaskEnv]
+    agent: Agent
+    evaluator: Evaluator
+    collector: Collector
+    guard: NanGuard
+    averages: TrainingAverages
+    faults: FaultReport
+
+    @property
+    def milestones(self) -> tuple[str, ...]:
+        """Names of the task's milestones."""
+        return tuple(self.evaluator.env.batch.task.milestone_names)
+
+
+def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
+    """Build the environments and the agent of a run.
+
+    Raises:
+        UserError: an option does not fit, or there is not enough memory.
+    """
+    envs = training_envs(config)
+    evaluator = Evaluator(config)
+    _check_memory(config, evaluator.env)
+    agent = build_agent(config, evaluator.env)
+    guard = NanGuard(agent.optimisers(), config.faults == "stop")
+    milestones = evaluator.env.batch.task.milestone_names
+    weights = effective_weights(envs[0].batch, config.reward_weights)
+    return RunParts(
+        envs=envs,
+        agent=agent,
+        evaluator=evaluator,
+        collector=Collector(envs, agent, overlaps(config), reward),
+        guard=guard,
+        averages=TrainingAverages(milestones, weights),
+        faults=FaultReport(envs, guard),
+    )
+
+
+def _check_memory(config: TrainConfig, env: TaskEnv) -> None:
+    sizes = env.observation_spec["observation"], env.action_spec
+    check_memory(config, *(spec.shape[-1] for spec in sizes))

@@ -1,0 +1,80 @@
+"""Recipes and options of runs."""
+
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from training_runs import tiny
+
+from manip.agents.registry import algorithm_names, load_algorithm
+from manip.envs.task_registry import load_task, task_names
+from manip.errors import UserError
+from manip.programs import train
+from manip.training.config import (
+    from_dict,
+    recipe,
+    recipe_names,
+    recipes,
+    to_dict,
+)
+
+
+def test_every_recipe_loads_for_the_task_and_algorithm_it_is_named_after() -> None:
+    for name in recipe_names():
+        task, algo = name.split("-", 1)
+        names = {known.lower(): known for known in task_names()}
+        found = recipe(names.get(task, task), algo)
+        assert found != recipe("a task without a recipe", algo), name
+        assert isinstance(found.agent, load_algorithm(algo).Config)
+        assert load_task(found.task).name.lower() == task
+        assert found.eval_every <= found.steps
+
+
+def test_a_recipe_may_say_more_of_some_arms() -> None:
+    panda, jaco = (recipe("Lift", "bc", robot) for robot in ("Panda", "Jaco"))
+    assert (panda.robot, jaco.robot) == ("Panda", "Jaco")
+    assert panda == recipe("Lift", "bc")
+    assert jaco.agent.noise < panda.agent.noise
+    assert recipes("Jaco")["lift-bc"] == jaco
+    assert train._defaults(["--algo", "bc", "--robot", "Jaco"]) == jaco
+
+
+@pytest.mark.parametrize("algo", algorithm_names())
+def test_options_survive_yaml(algo: str, tmp_path: Path) -> None:
+    options = fields(load_algorithm(algo).Config)
+    widths = next(o.name for o in options if o.name.endswith("hidden"))
+    config = tiny(algo, tmp_path / "run", seed=3, agent={widths: [8, 8]})
+    assert from_dict(yaml.safe_load(yaml.safe_dump(to_dict(config)))) == config
+
+
+def test_a_run_folder_is_named_after_what_is_trained() -> None:
+    config = from_dict({"task": "my.tasks:Stack", "algo": "ppo", "seed": 4})
+    assert config.folder == Path("runs/my.tasks.Stack-ppo-4")
+    assert replace(config, out=Path("here")).folder == Path("here")
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"stepz": 1}, "unknown .*'stepz': did you mean 'steps'.*num_envs"),
+        ({"agent": {"gama": 1}}, "unknown SACConfig .*'gama': did you mean 'gamma'"),
+        ({"algo": "ppo", "agent": {"tau": 1}}, "unknown PPOConfig option.*clip"),
+        ({"algo": "ddqn"}, "unknown algorithm 'ddqn': did you mean 'dqn'.*sac"),
+        ({"agent": "fast"}, "must be a mapping, not 'fast'"),
+        ({"agent": 3}, "must be a mapping, not 3"),
+        ({"steps": 0}, "steps must be at least 1, not 0"),
+        ({"eval_every": -1}, "eval_every must be at least 1, not -1"),
+        ({"num_envs": "four"}, "num_envs must be a whole number, not 'four'"),
+        ({"agent": {"batch_size": 0}}, "batch_size must be at least 1, not 0"),
+        ({"seed": -1}, "seed must be at least 0, not -1"),
+        ({"restart_fraction": 1.5}, "restart_fraction must be from 0 to 1, not 1.5"),
+        ({"cool_down": -1}, "cool_down must be from 0 to 1, not -1"),
+        ({"algo": "ppo", "agent": {"clip": 1.5}}, "clip must be from 0 to 1, not 1.5"),
+        ({"algo": "ppo-kl", "agent": {"beta": 0}}, "beta must be at least 1e-09"),
+    ],
+)
+def test_wrong_options_are_told(values: dict[str, Any], told: str) -> None:
+    with pytest.raises(UserError, match=told):
+        from_dict(values)

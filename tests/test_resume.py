@@ -1,0 +1,218 @@
+"""Runs resume bit for bit, and refuse checkpoints that do not fit."""
+
+import errno
+import os
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from training_runs import (
+    finished,
+    AGENTS,
+    OFTEN,
+    ROLLOUT,
+    assert_equal_runs,
+    assert_tensorboard_holds,
+    contents,
+    copy_of,
+    new_trainer,
+    rewrite,
+    state_of,
+    stop_after,
+    tiny,
+)
+
+from manip.errors import UserError
+from manip.io.tensor_trees import load_tree, save_tree
+from manip.training.run_logs import read_metrics
+
+
+@pytest.mark.parametrize(
+    ("algo", "stops"),
+    # Before, at and after an evaluation; before and after SAC begins to learn.
+    [
+        *(("bc", (3,)), ("ppo", (1, 2)), ("ppo", (4,)), ("sac", (2, 1))),
+        *(("sac", (11,)), ("a3c", (5, 4))),
+        *(
+            pytest.param(algo, (3, 2), marks=pytest.mark.slow)
+            for algo in sorted(AGENTS)
+            if algo not in OFTEN
+        ),
+    ],
+)
+def test_an_interrupted_run_goes_on_bit_for_bit(
+    algo: str, stops: tuple[int, ...], tmp_path: Path
+) -> None:
+    config = tiny(algo, tmp_path / "run")
+    for number, updates in enumerate(stops):
+        trainer = new_trainer(replace(config, resume=number > 0))
+        stop_after(trainer, updates)
+        assert not trainer.run()
+        assert trainer.state.env_steps == sum(stops[: number + 1]) * ROLLOUT[algo]
+    assert new_trainer(replace(config, resume=True)).run()
+    assert_equal_runs(finished(algo).folder, config.folder)
+
+
+def test_a_finished_run_can_be_prolonged(tmp_path: Path) -> None:
+    short = tiny("ppo", tmp_path / "run", steps=384)
+    assert new_trainer(short).run()
+    assert new_trainer(replace(short, steps=512, resume=True)).run()
+    assert_equal_runs(finished("ppo").folder, short.folder)
+
+
+def test_nothing_is_not_resumed(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="nothing to resume: there is no checkpoint"):
+        new_trainer(tiny("ppo", tmp_path / "run", resume=True)).run()
+    assert not (tmp_path / "run").exists()
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-5])
+
+
+def flip_a_bit(path: Path) -> None:
+    whole = bytearray(path.read_bytes())
+    whole[-99] ^= 4
+    path.write_bytes(whole)
+
+
+def torch_file(path: Path) -> None:
+    torch.save({"format": 3}, path)
+
+
+DAMAGE = [truncate, lambda path: path.write_bytes(b""), flip_a_bit, torch_file]
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_run_goes_on_from_the_checkpoint_before_a_damaged_one(
+    damage: Callable[[Path], Any], tmp_path: Path
+) -> None:
+    run = finished("ppo")
+    config = copy_of(run, tmp_path / "run")
+    latest = config.folder / "checkpoints" / "latest.safetensors"
+    damage(latest)
+    again = new_trainer(replace(config, resume=True))
+    with pytest.warns(
+        UserWarning, match=f"{latest} is damaged.*; trying the checkpoint bef"
+    ):
+        assert again.run()
+    assert_equal_runs(run.folder, config.folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda t: [1], "has format None, this version reads"),
+        (lambda t: t | {"format": 0}, "has format 0, this version reads"),
+        (lambda t: t | {"collector": {}}, "is of another configuration"),
+        (lambda t: t | {"torch_rng": 3}, "is of another configuration"),
+        (lambda t: t | {"progress": {}}, "is damaged"),
+        (lambda t: t | {"config": 7}, "is damaged"),
+    ],
+)
+def test_a_checkpoint_that_does_not_fit_is_refused_and_costs_nothing(
+    change: Callable[[Any], Any], told: str, tmp_path: Path
+) -> None:
+    config = copy_of(finished("ppo"), tmp_path / "run")
+    latest = config.folder / "checkpoints" / "latest.safetensors"
+    save_tree(latest, change(load_tree(latest)))
+    before = contents(config.folder)
+    with pytest.raises(UserError, match=told):
+        new_trainer(replace(config, resume=True)).run()
+    assert contents(config.folder) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"seed": 1}, "seed was 0, not 1"),
+        ({"num_envs": 3, "reward": "stock"}, "num_envs was 4, not 3; reward was"),
+        ({"agent": {"gamma": 0.5}}, "agent.gamma was 0.97, not 0.5"),
+        ({"algo": "sac"}, "algo was 'ppo', not 'sac'"),
+    ],
+)
+def test_a_run_does_not_go_on_with_other_options(
+    change: dict[str, Any], told: str, tmp_path: Path
+) -> None:
+    change = dict(change)
+    folder = copy_of(finished("ppo"), tmp_path / "run").folder
+    other = tiny(change.pop("algo", "ppo"), folder, resume=True, **change)
+    before = contents(folder)
+    with pytest.raises(UserError, match=f"cannot go on with other options: .*{told}"):
+        new_trainer(other).run()
+    assert contents(folder) == before
+
+
+def test_other_versions_are_told_when_a_run_goes_on(tmp_path: Path) -> None:
+    config = copy_of(finished("ppo"), tmp_path / "run")
+    latest = config.folder / "checkpoints" / "latest.safetensors"
+    rewrite(latest, lambda tree: tree["versions"].update(mujoco="2.0"))
+    with pytest.warns(UserWarning, match=r"mujoco was 2.0, is .*not bit for bit"):
+        assert new_trainer(replace(config, resume=True)).run()
+
+
+def test_a_full_disk_ends_a_run_that_goes_on_bit_for_bit(
+    tmp_path: Path, monkeypatch
+) -> None:
+    config = tiny("ppo", tmp_path / "run")
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    room = iter([None] * 12)
+
+    def fsync(handle: int) -> None:
+        if next(room, full):
+            raise full
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", fsync)
+        told = f"No space left on device; .*--resume --out {config.folder}"
+        with pytest.raises(UserError, match=told):
+            new_trainer(config).run()
+    assert new_trainer(replace(config, resume=True)).run()
+    assert_equal_runs(finished("ppo").folder, config.folder)
+
+
+def test_logs_of_a_run_that_goes_on_hold_every_row_once(
+    tmp_path: Path
+) -> None:
+    run = finished("ppo")
+    config = copy_of(run, tmp_path / "run")
+    table = config.folder / "metrics.csv"
+    expected = read_metrics(table)
+    table.write_text(table.read_text()[:-7] + "1,2,3\n5")
+    for events in (config.folder / "tensorboard").iterdir():
+        events.write_bytes(events.read_bytes()[:-9])
+    assert new_trainer(replace(config, resume=True)).run()
+    assert read_metrics(table) == expected
+    assert_tensorboard_holds(expected, config.folder)
+
+
+def test_a_run_goes_on_without_the_buffer_that_was_not_saved(
+    tmp_path: Path, capsys
+) -> None:
+    config = tiny("sac", tmp_path / "run", save_buffer=False)
+    trainer = new_trainer(config)
+    stop_after(trainer, 11)
+    assert not trainer.run()
+    assert "replay buffer" not in capsys.readouterr().err
+    lean = trainer.checkpoints.latest.stat().st_size
+    again, counts = new_trainer(replace(config, save_buffer=True, resume=True)), []
+    update = again.parts.agent.update
+
+    def counted(batch: Any) -> dict[str, float]:
+        found = update(batch)
+        counts.append(again.parts.agent.extra_state()["updates"])
+        return found
+
+    again.parts.agent.update = counted
+    with pytest.warns(UserWarning, match="holds no replay buffer: it is filled anew"):
+        assert again.run()
+    first, second, third, fourth, fifth = counts
+    assert 0 < first == second == third < fourth < fifth
+    said = capsys.readouterr().err
+    assert re.search(r"MiB \(replay buffer: .*--no-save-buffer\)", said)
+    rows = state_of(config.folder)["agent"]["buffer"]
+    assert trainer.checkpoints.latest.stat().st_size > lean + rows.nbytes / 2
