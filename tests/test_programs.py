@@ -440,11 +440,8 @@ def test_a_damaged_policy_is_refused(manip: Manip, run: Path, tmp_path: Path) ->
 
 def test_a_policy_of_another_observation_is_refused(manip, run, tmp_path) -> None:
     folder = tmp_path.parent / f"{tmp_path.name}-run"
-    layout = load_policy(run).card.layout
-    first, second, *_ = layout
-    parts = layout[first], layout[second]
-    swapped = layout | dict(zip((second, first), parts, strict=True))
-    with_card(run, folder, layout=swapped)
+    first, *rest = load_policy(run).card.observation
+    with_card(run, folder, observation=[first | {"name": "wings"}, *rest])
     message = "manip: error: the policy was trained on another observation than "
     for program in ("evaluate --env native", "evaluate --env stock", "render"):
         result = manip(*program.split(), str(folder), "--episodes", "1")

@@ -59,7 +59,7 @@ def test_a_shipped_policy_loads_and_has_a_result(name: str) -> None:
 def test_a_shipped_policy_fits_its_task(name: str) -> None:
     card = load_policy(name).card
     env = make_env(
-        EpisodeSettings(card.task, card.robot_config, card.layout, backend="native")
+        EpisodeSettings(card.task, card.robot_config, card.observation, backend="native")
     )
     assert env.batch.action_dim == card.action_dim
 

@@ -9,7 +9,6 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from manip.evaluation.before_merge import parts_of
 
 HELD_STEPS = 10
 """Success is held if it is true in the last ten control steps of an episode."""
@@ -147,7 +146,7 @@ def run_episodes(
     while missing.any():
         if callback:
             callback(state)
-        state["action"] = policy(parts_of(env, state))
+        state["action"] = policy(env.parts(state))
         step, state = env.step_and_maybe_reset(state)
         for episode in tracker.update(step["next"]):
             if missing[episode.env_id]:

@@ -188,7 +188,7 @@ def choice_rate(folder: Path) -> float:
     settings = EpisodeSettings(
         task=policy.card.task,
         robot=policy.card.robot_config,
-        observation=policy.card.layout,
+        observation=policy.card.observation,
         episodes=CHOICE_EPISODES,
         purpose=CHOICE,
         backend="native",

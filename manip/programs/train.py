@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import sys
 import re
 import sys
 from collections.abc import Iterator, Sequence
