@@ -58,9 +58,9 @@ def test_a_shipped_policy_loads_and_has_a_result(name: str) -> None:
 @pytest.mark.parametrize("name", shipped_policies())
 def test_a_shipped_policy_fits_its_task(name: str) -> None:
     card = load_policy(name).card
-    env = make_env(
-        EpisodeSettings(card.task, card.robot_config, card.observation, backend="native")
-    )
+    needed = card.observation
+    settings = EpisodeSettings(card.task, card.robot_config, needed, backend="native")
+    env = make_env(settings)
     assert env.batch.action_dim == card.action_dim
 
 
