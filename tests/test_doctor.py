@@ -6,8 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from manip.programs import doctor
-from manip.programs.doctor import Check, Doctor, run
+from manip.programs import doctor, doctor_checks
+from manip.programs.doctor import Doctor, run
+from manip.programs.doctor_checks import Check
 
 GOOD = Check("good", ok=True, required=True, detail="[here]", remedy="none")
 SLOWER = Check("slower", ok=False, required=False, detail="one core", remedy="wait")
@@ -49,29 +50,29 @@ def test_json_holds_every_check(use_checks, capsys) -> None:
 
 
 def test_python_and_cores_are_found() -> None:
-    assert doctor.check_python().ok
-    assert doctor.usable_cpus() >= 1
-    assert "usable" in doctor.check_cpus().detail
+    assert doctor_checks.check_python().ok
+    assert doctor_checks.usable_cpus() >= 1
+    assert "usable" in doctor_checks.check_cpus().detail
 
 
 def test_a_missing_package_is_named_with_its_tested_version(monkeypatch) -> None:
-    monkeypatch.setitem(doctor.TESTED, "no-such-package", "1.2.3")
-    check = doctor.check_package("no-such-package")
+    monkeypatch.setitem(doctor_checks.TESTED, "no-such-package", "1.2.3")
+    check = doctor_checks.check_package("no-such-package")
     assert not check.ok
     assert check.detail == "missing (tested with 1.2.3)"
     assert check.remedy == "pip install no-such-package==1.2.3"
 
 
 def test_another_version_is_mentioned_but_passes(monkeypatch) -> None:
-    monkeypatch.setattr(doctor, "version", lambda name: "9.9.9")
-    check = doctor.check_package("mujoco")
+    monkeypatch.setattr(doctor_checks, "version", lambda name: "9.9.9")
+    check = doctor_checks.check_package("mujoco")
     assert check.ok
     assert check.detail.startswith("9.9.9 (tested with ")
 
 
 def test_a_failing_child_gives_its_last_line() -> None:
-    assert doctor._try("print('a'); print('b')") == (True, "b")
-    assert doctor._try("raise OSError('gone')") == (False, "OSError: gone")
+    assert doctor_checks._try("print('a'); print('b')") == (True, "b")
+    assert doctor_checks._try("raise OSError('gone')") == (False, "OSError: gone")
 
 
 @pytest.mark.parametrize(
@@ -86,15 +87,15 @@ def test_a_failing_child_gives_its_last_line() -> None:
 def test_rendering_needs_a_backend_that_is_not_contradicted(
     found, asked, ok, monkeypatch
 ) -> None:
-    monkeypatch.setattr(doctor, "find_backend", lambda: found)
+    monkeypatch.setattr(doctor_checks, "find_backend", lambda: found)
     monkeypatch.setenv("MUJOCO_GL", asked)
-    check = doctor.check_rendering()
+    check = doctor_checks.check_rendering()
     assert check.ok is ok
     assert bool(check.remedy) is not ok
 
 
 def test_dm_control_loads_a_task_on_this_mujoco() -> None:
-    check = doctor.check_dm_control()
+    check = doctor_checks.check_dm_control()
     assert check.ok, check.detail
 
 
@@ -107,8 +108,8 @@ def put_before(monkeypatch, folder: Path, name: str, source: str) -> None:
 @pytest.mark.parametrize(
     ("check", "pins"),
     [
-        (doctor.check_dm_control, "mujoco==3.8.1 dm-control==1.0.41"),
-        (doctor.check_robosuite, "mujoco==3.8.1 robosuite==1.5.2"),
+        (doctor_checks.check_dm_control, "mujoco==3.8.1 dm-control==1.0.41"),
+        (doctor_checks.check_robosuite, "mujoco==3.8.1 robosuite==1.5.2"),
     ],
 )
 def test_a_mujoco_that_does_not_fit_is_found(check, pins, monkeypatch, tmp_path):
@@ -136,7 +137,7 @@ class version: cuda = {cuda!r}
 class cuda: is_available = lambda: {gpu}
 """
     put_before(monkeypatch, tmp_path, "torch", source)
-    found = doctor.check_cuda()
+    found = doctor_checks.check_cuda()
     assert (found.ok, found.required) == (ok, False)
     assert found.detail.endswith(detail)
     assert "on the CPU" in found.remedy
@@ -144,8 +145,8 @@ class cuda: is_available = lambda: {gpu}
 
 @pytest.mark.parametrize(("cores", "ok"), [(1, False), (2, True)])
 def test_a_single_core_is_mentioned(cores: int, ok: bool, monkeypatch) -> None:
-    monkeypatch.setattr(doctor, "usable_cpus", lambda: cores)
-    found = doctor.check_cpus()
+    monkeypatch.setattr(doctor_checks, "usable_cpus", lambda: cores)
+    found = doctor_checks.check_cpus()
     assert (found.ok, found.required) == (ok, False)
     assert found.detail.startswith(f"{cores} of ")
 
@@ -153,8 +154,8 @@ def test_a_single_core_is_mentioned(cores: int, ok: bool, monkeypatch) -> None:
 @pytest.mark.parametrize(("free", "ok"), [(0.3, False), (2.0, True)])
 def test_a_disk_that_is_nearly_full_is_found(free, ok, monkeypatch) -> None:
     usage = SimpleNamespace(free=free * 2**30)
-    monkeypatch.setattr(doctor.shutil, "disk_usage", lambda path: usage)
-    found = doctor.check_disk()
+    monkeypatch.setattr(doctor_checks.shutil, "disk_usage", lambda path: usage)
+    found = doctor_checks.check_disk()
     assert (found.ok, found.required) == (ok, False)
     assert found.detail == f"{free} GiB free in {Path.cwd()}"
     assert "--out" in found.remedy
@@ -162,7 +163,7 @@ def test_a_disk_that_is_nearly_full_is_found(free, ok, monkeypatch) -> None:
 
 def test_a_cache_that_cannot_be_written_is_found(monkeypatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", "/proc/no-such-folder")
-    found = doctor.check_numba_cache()
+    found = doctor_checks.check_numba_cache()
     assert (found.ok, found.required) == (False, False)
     assert "/proc/no-such-folder" in found.detail
     assert "NUMBA_CACHE_DIR" in found.remedy
@@ -178,7 +179,7 @@ def test_this_machine_is_fit() -> None:
     [
         (
             "RuntimeError: cannot cache function 'mat2quat': no locator available",
-            doctor.CACHE_REMEDY,
+            doctor_checks.CACHE_REMEDY,
         ),
         ("ValueError: NUMBA_NUM_THREADS must be positive", "environment variable"),
         ("PermissionError: [Errno 13] Permission denied: '/x'", "HOME"),
@@ -186,18 +187,18 @@ def test_this_machine_is_fit() -> None:
     ],
 )
 def test_the_remedy_fits_the_cause(detail: str, remedy: str) -> None:
-    assert remedy in doctor.remedy_of(detail, "pip install mujoco==3.8.1")
+    assert remedy in doctor_checks.remedy_of(detail, "pip install mujoco==3.8.1")
 
 
 def test_an_unwritable_home_is_not_mended_by_another_robosuite(monkeypatch, tmp_path):
     source = 'raise RuntimeError("cannot cache function: no locator available")'
     put_before(monkeypatch, tmp_path, "robosuite", source)
-    check = doctor.check_robosuite()
-    assert (check.ok, check.remedy) == (False, doctor.CACHE_REMEDY)
+    check = doctor_checks.check_robosuite()
+    assert (check.ok, check.remedy) == (False, doctor_checks.CACHE_REMEDY)
 
 
 def test_checks_hold_without_assertions(monkeypatch) -> None:
     """`python -O` removes assert statements."""
     monkeypatch.setenv("PYTHONOPTIMIZE", "1")
     monkeypatch.setenv("NUMBA_CACHE_DIR", "/proc/no-such-folder")
-    assert not doctor.check_numba_cache().ok
+    assert not doctor_checks.check_numba_cache().ok

@@ -38,8 +38,7 @@ def run_program(code: int, folder: Path, shell: str, **environment: str) -> int:
         ["bash", "-c", f"{command}; exit ${{PIPESTATUS[0]}}"],
         cwd=folder,
         env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        capture_output=True,
     )
     assert (folder / "saved").read_text() == "work"
     assert b"Traceback" not in done.stderr

@@ -9,7 +9,8 @@ import torch
 from torch.distributions import Normal, kl_divergence
 from toy import QUICK_PPO_KL, make_agent, mean_return, rollout_of, train
 
-from manip.agents.policy import Policy, PolicyCard
+from manip.agents.policy import Policy
+from manip.agents.policy_card import PolicyCard
 from manip.agents.ppo_kl import PPOKL, PPOKLConfig
 from manip.agents.value_targets import add_values
 from manip.errors import UserError
@@ -50,15 +51,19 @@ def test_beta_follows_the_divergence_of_an_update(target, factor: float) -> None
     batch["advantage"], batch["value_target"] = torch.randn(2, len(batch), 1)
     agent._add_distribution(batch)
     agent.actor.body[-1].bias.data += 0.1
-    told = agent._adapt(batch)
-    assert told["kl"] == pytest.approx(0.0136, rel=0.01)
-    assert told["beta"] == 4.0 * factor
+    logged = agent._adapt(batch)
+    assert logged["kl"] == pytest.approx(0.0136, rel=0.01)
+    assert logged["beta"] == 4.0 * factor
+
+
+def part(name: str, width: int) -> dict[str, Any]:
+    return {"name": name, "shape": [width], "dtype": "float32", "role": "object"}
 
 
 def saved(agent: PPOKL, folder: Path) -> str:
     card = PolicyCard(
         task="Reach", robot="Panda", algo="ppo", controller="OSC_POSE",
-        control_freq=20, action_dim=1, layout={"x": [0, 1]}, hidden=[32],
+        control_freq=20, action_dim=1, observation=[part("x", 1)], hidden=[32],
         squash=False, normalise=True, env_steps=0, seed=0, versions={},
     )  # fmt: skip
     Policy(card, agent.actor).save(folder)
@@ -72,11 +77,11 @@ def test_a_run_starts_from_its_reference_and_pays_for_leaving_it(tmp_path) -> No
     config = replace(QUICK_PPO_KL, reference=reference, reference_beta=0.2)
     agent, state = agent_of(config), torch.linspace(-1, 1, 9)[:, None]
     assert torch.equal(agent.actor.decide(state), trained.actor.decide(state))
-    assert agent._charge(rollout_of(agent))["kl_reference"] == pytest.approx(0)
+    assert agent._penalise(rollout_of(agent))["kl_reference"] == pytest.approx(0)
     agent.actor.log_std.data += 0.3
     batch = rollout_of(agent)
     paid, observation = batch["next", "reward"].clone(), batch["observation"]
-    agent._charge(batch)
+    agent._penalise(batch)
     policies = [Normal(*actor(observation)) for actor in (agent.actor, trained.actor)]
     mine, old = (policy.log_prob(batch["action"]) for policy in policies)
     expected = paid - 0.2 * (mine - old)
@@ -115,7 +120,7 @@ def test_a_run_that_goes_on_keeps_its_reference(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"layout": {"x": [0, 26]}}, "another observation than Reach shows"),
+        ({"observation": [part("x", 26)]}, "another observation .*: x is missing"),
         ({"robot": "Sawyer"}, "was trained with robot Sawyer, not Panda"),
         ({"control_freq": 10}, "was trained with control_freq 10, not 20"),
     ],

@@ -13,10 +13,12 @@ from manip.agents.agent import Spaces
 from manip.agents.dqn import DQN, DQNConfig
 from manip.agents.networks import BinnedActor
 from manip.agents.off_policy import OffPolicy, transitions_of
-from manip.agents.policy import Policy, PolicyCard, load_policy
+from manip.agents.policy import Policy, load_policy
+from manip.agents.policy_card import PolicyCard
 from manip.agents.td3 import TD3, TD3Config
 from manip.errors import UserError
 
+OBSERVATION = [{"name": "x", "shape": [5], "dtype": "float32", "role": "object"}]
 SPACES = Spaces(observation_dim=5, action_dim=3)
 SMALL: dict[str, Any] = {
     "gamma": 0.9,
@@ -203,12 +205,12 @@ def test_a_policy_of_bins_is_saved_and_loaded(tmp_path) -> None:
     agent = dqn(bins=5, action_scale=(1.0, 0.5, 0.1))
     card = PolicyCard(
         task="Reach", robot="Panda", algo="dqn", controller="OSC_POSE",
-        control_freq=20, action_dim=3, layout={"x": [0, 5]}, hidden=[16],
+        control_freq=20, action_dim=3, observation=OBSERVATION, hidden=[16],
         squash=False, normalise=False, env_steps=0, seed=0, versions={}, bins=5,
     )  # fmt: skip
     Policy(card, agent.actor).save(tmp_path)
     state = torch.randn(20, 5)
-    assert torch.equal(load_policy(tmp_path)(state), agent.actor.decide(state))
+    assert torch.equal(load_policy(tmp_path)({"x": state}), agent.actor.decide(state))
 
 
 def test_one_bin_is_refused() -> None:

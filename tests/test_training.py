@@ -109,7 +109,8 @@ def test_the_policy_kept_is_the_best_evaluated_one(algo) -> None:
     assert checkpoint["progress"]["env_steps"] == card.env_steps
     assert_holds(checkpoint["modules"], policy.actor.body[-1].weight)
     assert (card.task, card.robot, card.algo) == ("Reach", "Panda", algo)
-    assert list(card.layout) == list(run.parts.evaluator.env.batch.layout)
+    spec = run.parts.evaluator.env.batch.observation_spec
+    assert card.observation_spec == spec
 
 
 def test_evaluations_are_of_the_same_episodes(tmp_path: Path) -> None:
@@ -217,6 +218,8 @@ def test_a_policy_is_what_the_agent_would_do(algo) -> None:
     policy = policy_of(
         run.parts.agent, run.config, run.parts.evaluator.env, run.state.env_steps
     )
-    observation = run.parts.evaluator.env.observe()["observation"]
-    assert torch.equal(policy(observation), run.parts.agent.actor.decide(observation))
-    assert policy.card.observation_dim == observation.shape[1]
+    env = run.parts.evaluator.env
+    state = env.observe()
+    expected = run.parts.agent.actor.decide(state["observation"])
+    assert torch.equal(policy(env.parts(state)), expected)
+    assert policy.card.observation_dim == state["observation"].shape[1]

@@ -150,6 +150,9 @@ class Points(EnvBase):
         }
         return TensorDict(entries, self.batch_size)
 
+    def parts(self, state: TensorDictBase) -> dict[str, Tensor]:
+        return {"x": state["observation"]}
+
     def _set_seed(self, seed: int | None) -> None:
         self._generator = torch.Generator().manual_seed(seed or 0)
 
@@ -170,7 +173,8 @@ def train(config: AgentConfig, seed: int, steps: int) -> Agent:
 
 def mean_return(agent: Agent) -> float:
     """Return of the deterministic policy, mean of 100 episodes of 20 steps."""
-    episodes = run_episodes(Points([20] * 100, seed=123), agent.actor.decide, 100)
+    env = Points([20] * 100, seed=123)
+    episodes = run_episodes(env, lambda parts: agent.actor.decide(parts["x"]), 100)
     return sum(episode.total_reward for episode in episodes) / len(episodes)
 
 

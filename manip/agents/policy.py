@@ -1,11 +1,12 @@
-"""A trained policy as files: weights and card in safetensors, the card in JSON, too.
+"""A trained policy, and its files.
 
-policy.safetensors is the policy, sealed by a checksum; policy.json is there to be read
-by people. No file runs code when loaded.
+policy.safetensors holds weights and card, with a checksum: it is the policy.
+policy.json holds the same card, for people to read. Loading runs no code of a file.
 """
 
 import json
 import warnings
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -15,83 +16,49 @@ import torch
 from torch import Tensor
 
 from manip.agents.networks import Actor, BinnedActor
+from manip.agents.policy_card import PolicyCard, read_card
 from manip.errors import UserError, one_line
 from manip.io.atomic_files import write_text
-from manip.io.dataclass_values import build
 from manip.io.tensor_trees import load_tree, save_tree
-from manip.robot_config import RobotConfig
-
-FORMAT = 2
-"""Version of the policy files; raised when they change incompatibly."""
 
 WEIGHTS, CARD = "policy.safetensors", "policy.json"
 
 SHIPPED = Path(str(files("manip.assets"))) / "policies"
 """Folder of the policies that are shipped, by their names."""
 
+MOST_BYTES = 2**30
+"""Largest policy file that is read."""
 
-@dataclass(frozen=True)
-class PolicyCard:
-    """What a policy was trained for: all an evaluator needs besides the weights.
-
-    layout: observation part -> [start, stop) in the observation vector.
-    env_steps: control steps of training that went into it.
-    bins: values that each dimension of the action can take; 0 if it is continuous.
-    """
-
-    task: str
-    robot: str
-    algo: str
-    controller: str
-    control_freq: int
-    action_dim: int
-    layout: dict[str, list[int]]
-    hidden: list[int]
-    squash: bool
-    normalise: bool
-    env_steps: int
-    seed: int
-    versions: dict[str, str]
-    bins: int = 0
-    format: int = FORMAT
-
-    @property
-    def robot_config(self) -> RobotConfig:
-        """Arm, controller and control frequency."""
-        return RobotConfig(self.robot, self.controller, self.control_freq)
-
-    @property
-    def name(self) -> str:
-        """Of the policy if it is shipped: its task, and its arm if not a Panda."""
-        return self.task if self.robot == "Panda" else f"{self.task}-{self.robot}"
-
-    @property
-    def observation_dim(self) -> int:
-        """D, the length of the observation vector."""
-        return max(stop for _, stop in self.layout.values())
+LARGEST_WEIGHT = 1e6
+"""Largest weight that a policy may have: beyond, actions overflow."""
 
 
 @dataclass(frozen=True)
 class Policy:
-    """A deterministic policy: observation [N, D] -> action [N, A] in [-1, 1]."""
+    """A deterministic policy: observation parts -> action [N, A] in [-1, 1]."""
 
     card: PolicyCard
     actor: Actor | BinnedActor
 
     @torch.no_grad()
-    def __call__(self, observation: Tensor) -> Tensor:
-        """The action for each observation."""
-        return self.actor.decide(observation)
+    def __call__(self, parts: Mapping[str, Tensor]) -> Tensor:
+        """Return the action [N, A] of an observation.
+
+        Args:
+            parts: name -> [N, *shape], at least those that the card names.
+        """
+        names = self.card.observation_spec.slices
+        return self.actor.decide(torch.cat([parts[n].flatten(1) for n in names], -1))
 
     def save(self, folder: Path) -> None:
         """Write the policy's files, each whole or not at all."""
         weights = dict(self.actor.state_dict())
         save_tree(folder / WEIGHTS, {"card": asdict(self.card), "weights": weights})
-        write_text(folder / CARD, _words(self.card))
+        write_text(folder / CARD, _to_json(self.card))
 
 
 def shipped_policies() -> dict[str, Path]:
-    """Name -> folder of the policies that are shipped."""
+    """Return the policies that are shipped: name -> folder."""
     return {
         path.parent.name: path.parent for path in sorted(SHIPPED.glob(f"*/{WEIGHTS}"))
     }
@@ -101,20 +68,17 @@ def load_policy(where: str | Path) -> Policy:
     """Read a policy from its folder, the run folder around it, or by its shipped name.
 
     Raises:
-        UserError: nothing there, damaged, or written by an incompatible version.
+        UserError: there is none, it is damaged, or of an incompatible version.
     """
     path = _find(where)
+    if path.stat().st_size > MOST_BYTES:
+        raise UserError(f"{path} holds no policy: it is larger than {MOST_BYTES} bytes")
     tree = load_tree(path)
-    card = _card(path, tree)
     try:
-        with torch.device("meta"):  # a card may ask for more memory than there is
-            actor = _actor(card)
-        actor.load_state_dict(tree["weights"], assign=True)
-        actor.float()
-    except Exception as error:  # whatever a card of no policy may lead to
+        card = read_card(tree.get("card") if isinstance(tree, dict) else None)
+        actor = _load_actor(card, tree["weights"])
+    except Exception as error:  # a file can hold anything
         raise UserError(f"{path} holds no policy: {one_line(error)}") from error
-    if not all(tensor.isfinite().all() for tensor in actor.state_dict().values()):
-        raise UserError(f"{path} holds weights that are not finite")
     _compare(path.with_name(CARD), card)
     return Policy(card, actor)
 
@@ -132,34 +96,44 @@ def _find(where: str | Path) -> Path:
     )
 
 
+def _load_actor(card: PolicyCard, weights: Any) -> Actor | BinnedActor:
+    with torch.device("meta"):  # a card may ask for more memory than there is
+        actor = _actor(card)
+    _check_weights(weights, actor.state_dict())
+    actor.load_state_dict(weights, assign=True)
+    return actor
+
+
 def _actor(card: PolicyCard) -> Actor | BinnedActor:
+    sizes = card.observation_dim, card.action_dim, card.hidden
     if card.bins:
-        return BinnedActor(
-            card.observation_dim, card.action_dim, card.hidden, card.bins
-        )
-    return Actor(
-        card.observation_dim, card.action_dim, card.hidden, card.squash, card.normalise
-    )
+        return BinnedActor(*sizes, card.bins)
+    return Actor(*sizes, card.squash, card.normalise)
 
 
-def _card(path: Path, tree: Any) -> PolicyCard:
-    found = tree.get("card") if isinstance(tree, dict) else None
-    if not isinstance(found, dict) or found.get("format") != FORMAT:
-        form = found.get("format") if isinstance(found, dict) else None
-        raise UserError(f"{path} has format {form}, this version reads {FORMAT}")
-    try:
-        return build(PolicyCard, found)
-    except UserError as error:
-        raise UserError(f"{path}: {error}") from error
+def _check_weights(weights: Any, expected: Mapping[str, Tensor]) -> None:
+    """Raise `UserError` unless names, shapes, dtypes and ranges are as they must be."""
+    if not isinstance(weights, Mapping) or weights.keys() != expected.keys():
+        raise UserError("its weights have other names than the card's network")
+    for name, tensor in weights.items():
+        wanted = expected[name]
+        if not isinstance(tensor, Tensor) or tensor.dtype != wanted.dtype:
+            raise UserError(f"{name} is not {wanted.dtype}")
+        if tensor.shape != wanted.shape:
+            raise UserError(f"{name} is {[*tensor.shape]}, not {[*wanted.shape]}")
+        if not tensor.isfinite().all():
+            raise UserError(f"{name} holds weights that are not finite")
+        if not name.startswith("norm.") and tensor.abs().max() > LARGEST_WEIGHT:
+            raise UserError(f"{name} holds weights beyond {LARGEST_WEIGHT:g}")
 
 
 def _compare(path: Path, card: PolicyCard) -> None:
-    if path.is_file() and path.read_text(errors="replace") != _words(card):
+    if path.is_file() and path.read_text(errors="replace") != _to_json(card):
         warnings.warn(
-            f"{path} says something else than {WEIGHTS}, which is what counts",
+            f"{path} differs from the card in {WEIGHTS}, which is the one that is used",
             stacklevel=2,
         )
 
 
-def _words(card: PolicyCard) -> str:
+def _to_json(card: PolicyCard) -> str:
     return json.dumps(asdict(card), indent=2) + "\n"

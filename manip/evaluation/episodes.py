@@ -9,8 +9,6 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from manip.evaluation.before_merge import parts_of
-
 HELD_STEPS = 10
 """Success is held if it is true in the last ten control steps of an episode."""
 
@@ -87,7 +85,9 @@ class EpisodeTracker:
         """
         for counter, saved in zip(self._counters(), state["counters"], strict=True):
             if counter.shape != saved.shape:
-                raise ValueError(f"{len(saved)} environments are no {len(counter)}")
+                raise ValueError(
+                    f"saved of {len(saved)} environments, not {len(counter)}"
+                )
             counter.copy_(saved)
         self._milestones = torch.zeros(len(self._steps), 0, dtype=torch.bool)
         if state["milestones"] is not None:  # None: saved before the first step
@@ -145,7 +145,7 @@ def run_episodes(
     while missing.any():
         if callback:
             callback(state)
-        state["action"] = policy(parts_of(env, state))
+        state["action"] = policy(env.parts(state))
         step, state = env.step_and_maybe_reset(state)
         for episode in tracker.update(step["next"]):
             if missing[episode.env_id]:

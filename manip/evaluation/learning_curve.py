@@ -3,13 +3,12 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import matplotlib
 import numpy as np
-
-matplotlib.use("Agg")
-from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
+
+from manip.io.atomic_files import replace_file
 
 CURVES = {
     "success_once": "-",
@@ -31,9 +30,8 @@ def plot_learning_curve(
     """
     rows = [row for row in rows if row.get("eval/success_held")]
     steps = _column(rows, "env_steps") / 1000
-    figure, (upper, lower) = plt.subplots(
-        2, 1, figsize=(7, 6), sharex=True, height_ratios=(3, 2), layout="constrained"
-    )
+    figure = Figure(figsize=(7, 6), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     for measure, style in CURVES.items():
         success = 100 * _column(rows, f"eval/{measure}")
         upper.plot(steps, success, style, marker="o", label=measure)
@@ -45,9 +43,7 @@ def plot_learning_curve(
     for axes in (upper, lower):
         axes.grid(alpha=0.3)
     figure.suptitle(title)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
+    replace_file(path, lambda partial: figure.savefig(partial, dpi=120))
 
 
 def _mark_time(axes: Axes, steps: np.ndarray, seconds: np.ndarray) -> None:

@@ -16,8 +16,8 @@ from manip.envs.backends.worker_pool import end_with_parent
 from manip.envs.episode_streams import EVALUATION, Purpose
 from manip.envs.make_batch import Backend, make_batch
 from manip.envs.task import Task
-from manip.evaluation.before_merge import check_observation
 from manip.evaluation.episodes import Episode, Policy, run_episodes
+from manip.observation import check_observation
 from manip.robot_config import RobotConfig
 from manip.sim.scene import Fidelity
 
@@ -92,7 +92,7 @@ def make_env(settings: EpisodeSettings, num_envs: int = 1) -> TaskEnv:
         **options,
     )
     if settings.observation is not None:
-        check_observation(settings.observation, batch)
+        check_observation(settings.observation, batch.observation_spec)
     return TaskEnv(batch)
 
 

@@ -68,7 +68,7 @@ def check_options(options: Any) -> None:
 
 
 def _numbers(value: Any) -> list[float]:
-    items = value if isinstance(value, tuple) else (value,)
+    items = value if isinstance(value, tuple | list) else (value,)
     return [item for item in items if isinstance(item, int | float)]
 
 

@@ -104,7 +104,7 @@ def _settings(options: Evaluate, policy: Policy, task: Task) -> EpisodeSettings:
     return EpisodeSettings(
         task=task,
         robot=policy.card.robot_config,
-        observation=policy.card.layout,
+        observation=policy.card.observation,
         episodes=options.episodes,
         seed=options.seed,
         backend=options.env,

@@ -107,7 +107,7 @@ def _settings(options: Render, policy: Policy, task: Task) -> EpisodeSettings:
     return EpisodeSettings(
         task=task,
         robot=policy.card.robot_config,
-        observation=policy.card.layout,
+        observation=policy.card.observation,
         episodes=options.episodes,
         seed=options.seed,
         backend="native",

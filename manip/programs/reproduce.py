@@ -2,9 +2,9 @@
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import torch
 import tyro
@@ -13,7 +13,12 @@ from manip.agents.policy import load_policy
 from manip.cpus import machine
 from manip.envs.episode_streams import CHOICE
 from manip.errors import UserError, check_choice, unknown
-from manip.evaluation.results_table import percent, result_percent
+from manip.evaluation.comparison import (
+    comparison_line,
+    comparison_record,
+    verdict,
+)
+from manip.evaluation.results_table import percent
 from manip.evaluation.runners import EpisodeSettings, evaluate_policy
 from manip.evaluation.shipped_results import (
     RESULTS,
@@ -23,7 +28,7 @@ from manip.evaluation.shipped_results import (
     Run,
     load_results,
 )
-from manip.evaluation.statistics import compare_seeds, success_rate
+from manip.evaluation.statistics import success_rate
 from manip.io.atomic_files import write_text
 from manip.io.output_paths import check_output, check_output_folder
 from manip.programs import cli
@@ -94,7 +99,7 @@ def main(arguments: Sequence[str]) -> int:
         result = Result(*_key(config), imitates(config), machine(), runs)
         results.append(result)
         _save(results, options, stored)
-        console().print(_comparison(result, stored), highlight=False, markup=False)
+        console().print(comparison_line(result, stored), highlight=False, markup=False)
     console().print(table(stored, results))
     worse = [result for result in results if verdict(result, stored) == "worse"]
     if worse:
@@ -128,12 +133,14 @@ def chosen(options: Reproduce, stored: Results) -> list[TrainConfig]:
     for name in options.what:
         if name not in names:
             raise unknown("recipe", name, sorted(names))
-    return [
-        recipes(robot)[name]
+    pairs = [
+        (name, robot)
         for name, config in known.items()
         if {"all", name, config.task} & set(options.what)
         for robot in _robots(config, options, stored)
     ]
+    of_robot = {robot: recipes(robot) for robot in {robot for _, robot in pairs}}
+    return [of_robot[robot][name] for name, robot in pairs]
 
 
 def _robots(config: TrainConfig, options: Reproduce, stored: Results) -> list[str]:
@@ -183,7 +190,7 @@ def choice_rate(folder: Path) -> float:
     settings = EpisodeSettings(
         task=policy.card.task,
         robot=policy.card.robot_config,
-        observation=policy.card.layout,
+        observation=policy.card.observation,
         episodes=CHOICE_EPISODES,
         purpose=CHOICE,
         backend="native",
@@ -201,24 +208,11 @@ def _key(config: TrainConfig) -> Key:
     return config.task, config.robot, config.algo
 
 
-def verdict(result: Result, stored: Results) -> str:
-    """Compare a recipe with its shipped result, over seeds; "new" if it has none."""
-    before = stored.of(result.key)
-    return compare_seeds(result.counts, before.counts) if before else "new"
-
-
-def _comparison(result: Result, stored: Results) -> str:
-    before = stored.of(result.key)
-    shipped = f", shipped {result_percent(before)}" if before else ""
-    rate = f"success_held {result_percent(result)} %{shipped}"
-    return f"{' '.join(result.key)}: {rate}: {verdict(result, stored)}"
-
-
 def _save(results: Sequence[Result], options: Reproduce, stored: Results) -> None:
     """Write what was requested, with the recipes that are done so far."""
     if options.json:
         record = {
-            "results": [_record(result, stored) for result in results],
+            "results": [comparison_record(result, stored) for result in results],
             "versions": versions(),
         }
         write_text(options.json, json.dumps(record, indent=2) + "\n")
@@ -230,17 +224,3 @@ def _save(results: Sequence[Result], options: Reproduce, stored: Results) -> Non
             ship_policy(result, folders, stored)
             stored = stored.having(result)
         stored.save(RESULTS)
-
-
-def _record(result: Result, stored: Results) -> dict[str, Any]:
-    before = stored.of(result.key)
-    runs = [run.to_dict() | {"rate": asdict(run.rate)} for run in result.runs]
-    return result.to_dict() | {
-        "runs": runs,
-        "seeds": len(runs),
-        "rate": asdict(result.rate),
-        "interval_covers": "seeds and episodes" if len(runs) > 1 else "episodes only",
-        "shipped": asdict(before.rate) if before else None,
-        "shipped_seeds": len(before.runs) if before else 0,
-        "verdict": verdict(result, stored),
-    }

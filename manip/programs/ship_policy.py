@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from manip.agents.policy import SHIPPED, PolicyCard, load_policy, shipped_policies
+from manip.agents.policy import SHIPPED, load_policy, shipped_policies
+from manip.agents.policy_card import PolicyCard
 from manip.evaluation.shipped_results import Result, Results, Run
 
 WORTH = 0.9

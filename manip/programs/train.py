@@ -3,6 +3,7 @@
 import contextlib
 import io
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from manip.envs.external_task import ExternalTask
 from manip.envs.task_registry import load_task, load_task_named_by
 from manip.errors import UserError, check_choice
 from manip.programs import cli
-from manip.robot_config import ROBOTS
+from manip.robot_config import CONTROLLERS, ROBOTS
 from manip.training.config import (
     TrainConfig,
     recipe,
@@ -84,7 +85,8 @@ def _defaults(arguments: Sequence[str]) -> TrainConfig:
     if start.resume:
         return _recorded(start.out)
     load_task(start.task)
-    if scales_other_actions(start.task, start.algo, start.controller):
+    known = start.controller in CONTROLLERS
+    if known and scales_other_actions(start.task, start.algo, start.controller):
         print(
             f"manip: the recipe's action_scale is not used with {start.controller}",
             file=sys.stderr,

@@ -6,7 +6,8 @@ import torch
 
 from manip.agents.agent import Agent, Spaces
 from manip.agents.networks import RunningNorm, widths_of
-from manip.agents.policy import Policy, PolicyCard, load_policy
+from manip.agents.policy import Policy, load_policy
+from manip.agents.policy_card import PolicyCard
 from manip.agents.ppo_kl import PPOKLConfig
 from manip.agents.registry import load_algorithm
 from manip.cpus import usable_cpus
@@ -15,6 +16,7 @@ from manip.envs.external_task import ExternalTask
 from manip.envs.make_batch import make_batch
 from manip.envs.task_registry import load_task
 from manip.errors import UserError
+from manip.observation import check_observation
 from manip.training.config import SCALE, TrainConfig
 from manip.training.reward_weights import parse_weights
 from manip.versions import versions
@@ -128,7 +130,7 @@ def _check_scale(config: TrainConfig, action_dim: int) -> None:
 def _check_reference(folder: str, config: TrainConfig, env: TaskEnv) -> None:
     """Raise `UserError` unless a reference has the run's observations and actions."""
     card = load_policy(folder).card
-    env.batch.check_layout(card.layout)
+    check_observation(card.observation, env.batch.observation_spec)
     for name in ("robot", "controller", "control_freq"):
         trained, wanted = getattr(card, name), getattr(config, name)
         if trained != wanted:
@@ -157,7 +159,6 @@ def share_threads(config: TrainConfig) -> tuple[int, int]:
 
 def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Policy:
     """Return the agent's present policy, with all that an evaluator needs."""
-    layout = env.batch.layout
     card = PolicyCard(
         task=config.task,
         robot=config.robot,
@@ -165,7 +166,7 @@ def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Po
         controller=config.controller,
         control_freq=config.control_freq,
         action_dim=env.action_spec.shape[-1],
-        layout={name: [part.start, part.stop] for name, part in layout.items()},
+        observation=env.batch.observation_spec.to_dict(),
         hidden=widths_of(agent.actor.body)[1:-1],
         squash=agent.actor.squash,
         bins=agent.actor.bins,

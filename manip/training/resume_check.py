@@ -86,7 +86,8 @@ class ResumeCheck:
     def _filled_agent(self) -> Agent:
         """An agent like the run's that has stored one rollout, of zeros."""
         batch = self._collector.example().batch
-        options = replace(self._config.agent, buffer_size=max(1, batch.numel()))
+        options: Any = self._config.agent
+        options = replace(options, buffer_size=max(1, batch.numel()))
         agent = build_agent(replace(self._config, agent=options), self._env)
         agent.update(batch)
         return agent
