@@ -16,8 +16,8 @@ PRODUCT = ("manip", "tasks", "scripts")
 
 WORDS = (
     # names that were replaced
-    *("Worlds", "Moment", "Sight", "Crew", "StateBank", "own_starts", "own-starts"),
-    *("Rig", "num_worlds", "num-worlds", "contestant", "contestants"),
+    *("Worlds", "Moment", "Sight", "Crew", "StateBank", "Rig", "own-starts"),
+    *("num-worlds", "contestant", "contestants"),
     # personification, idioms, inversions
     *("worlds", "whoever", "nobody", "everybody", "somebody"),
     *("is told", "are told", "told in a line", "tells of", "tell of"),
