@@ -319,16 +319,13 @@ def test_a_task_of_another_library_is_not_rendered(manip, run, monkeypatch) -> N
     assert "dm_control/reach is not stepped by the batch engine" in line
 
 
-def test_a_cards_text_is_shown_inert(manip, run, tmp_path, monkeypatch) -> None:
+def test_a_card_of_odd_text_is_refused_in_inert_text(manip, run, tmp_path) -> None:
     text = "[red]ppo[/red] [/nonsense] \x1b[2J\n"
     folder = with_card(run, tmp_path.parent / f"{tmp_path.name}-run", algo=text)
-    options = ("--env", "native", "--episodes", "1", "--json", "eval.json")
-    result = manip("evaluate", str(folder), *options)
-    assert result.code == 0, result.err
-    title = " ".join(result.out.split("┏")[0].split())
-    assert r"[red]ppo[/red] [/nonsense] \x1b[2J\n" in title
-    assert "\x1b" not in result.out
-    assert json.loads(Path("eval.json").read_text())["algo"] == text
+    for program in ("evaluate", "render"):
+        line = refusal(manip(program, str(folder)))
+        assert "[red]ppo[/red] [/nonsense]" in line
+        assert "\x1b" not in line
 
 
 def test_a_result_is_saved_before_it_is_printed(
