@@ -3,6 +3,7 @@
 import math
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -11,6 +12,8 @@ import pytest
 import torch
 from faulty_gradients import (
     BY_ONE_PERCENT,
+    SMALL,
+    SPACES,
     ScaledInputs,
     ScaledResult,
     gradient_names,
@@ -35,6 +38,26 @@ def test_rounding_is_no_error_in_twenty_initialisations(algorithm: str) -> None:
         for seed in range(20):
             agent = make_agent(algorithm, seed)
             assert agent._gradients.in_use is agent._gradients._native
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "options"),
+    [
+        ("sac", {"critics": 1}),
+        ("sac", {"critics": 3, "gamma": 1.0}),
+        ("sac", {"batch_size": 1, "n_step": 1}),
+        ("sac", {"initial_alpha": 10.0, "action_scale": (1.0, 0.01, 0.3)}),
+        ("ppo", {"clip": None, "entropy_coefficient": 0.0}),
+        ("ppo", {"clip": 0.9, "critic_coefficient": 0.0}),
+        ("ppo", {"clip": 1.0, "normalise": False}),
+        ("ppo", {"clip": 0.001, "action_scale": (1.0, 0.01, 0.3)}),
+    ],
+)
+def test_no_option_is_an_error(algorithm: str, options: dict[str, Any]) -> None:
+    config = replace(SMALL[algorithm], **options)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", FOUND)
+        {"sac": SAC, "ppo": PPO}[algorithm](config, SPACES)
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
