@@ -13,7 +13,7 @@ from manip.agents import native
 from manip.agents.native import ppo_gradients, sac_gradients
 
 FOLDER = Path(native.__file__).parent
-KERNELS = ("mlp_kernels", "sac_kernels", "ppo_kernels")
+KERNELS = ("row_kernels", "mlp_kernels", "sac_kernels", "ppo_kernels")
 PERCENT = "np.float32(1.01)"
 
 ERRORS = [
@@ -32,7 +32,7 @@ ERRORS = [
     ("sac", "mlp_kernels", "- mean -", "- mean * PERCENT -"),
     ("sac", "mlp_kernels", "unit[i, j] * along", "{} * PERCENT"),
     ("sac", "mlp_kernels", "d_y[i, j] * unit[i, j]", "{} * PERCENT"),
-    ("sac", "mlp_kernels", "row[j] * gain[j]", "{} * PERCENT"),
+    ("sac", "row_kernels", "row[j] * gain[j]", "{} * PERCENT"),
     ("ppo", "ppo_kernels", "ONE - clip)", "ONE - clip * PERCENT)"),
     ("ppo", "ppo_kernels", "ONE + clip)", "ONE + clip * PERCENT)"),
     ("ppo", "ppo_kernels", "unit[j] * unit[j] - ONE", "unit[j] * unit[j] - PERCENT"),
