@@ -21,10 +21,13 @@ from faulty_gradients import (
     recheck,
 )
 from torch import Tensor
+from toy import QUICK_TD3, Points
 
 from manip.agents.native import gradient_check
 from manip.agents.ppo import PPO
 from manip.agents.sac import SAC
+from manip.training.build import build_agent
+from manip.training.config import TrainConfig
 
 ALGORITHMS = ("sac", "ppo")
 FOUND = "native gradients differ"
@@ -249,3 +252,17 @@ def test_a_batch_with_nan_is_no_evidence(algorithm, monkeypatch) -> None:
             rows = torch.full_like(rows_for(algorithm), math.nan)
             agent._gradients._select(rows)
     assert agent._gradients.in_use is agent._gradients._native
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_the_option_gradients_chooses_what_a_run_learns_from(algorithm: str) -> None:
+    for source, expected in (("native", "CheckedGradients"), ("torchrl", "Autograd")):
+        config = TrainConfig(algo=algorithm, gradients=source, agent=SMALL[algorithm])
+        agent = build_agent(config, Points([5, 5]))
+        assert type(agent._gradients).__name__.startswith(expected)
+
+
+def test_other_algorithms_learn_through_torchrls_losses_with_either_option() -> None:
+    for source in ("native", "torchrl"):
+        config = TrainConfig(algo="td3", gradients=source, agent=QUICK_TD3)
+        assert build_agent(config, Points([5, 5])).has_native_gradients is False
