@@ -17,12 +17,9 @@ KERNELS = ("row_kernels", "mlp_kernels", "sac_kernels", "ppo_kernels")
 PERCENT = "np.float32(1.01)"
 
 ERRORS = [
-    (
-        *("sac", "sac_kernels", "value[:, r, 0].min()"),
-        "np.float32(0.99) * value[:, r, 0].min() + np.float32(0.01) * value[0, r, 0]",
-    ),
-    ("sac", "sac_kernels", "value[:, r, 0].argmin()", "{} if r % 50 else 0"),
-    ("sac", "sac_kernels", "- alpha * work.log_prob[r]", "{} * PERCENT"),
+    ("sac", "sac_kernels", "value[:, r, 0].min()", "value[0, r, 0]"),
+    ("sac", "sac_kernels", "value[:, r, 0].argmin()", "0"),
+    ("sac", "sac_kernels", "- alpha * work.log", "- PERCENT * alpha * work.log"),
     ("sac", "sac_kernels", "TWO * error", "{} * PERCENT"),
     ("sac", "sac_kernels", "work.std[r, j] - alpha", "{} * PERCENT"),
     ("sac", "sac_kernels", "(ONE - spread * spread)", "{} * PERCENT"),

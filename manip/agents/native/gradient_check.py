@@ -2,7 +2,7 @@
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Generic, Literal, TypeVar
 
@@ -59,16 +59,10 @@ class GradientCheck(ABC, Generic[Gradients]):
     def _measure(self, gradients: Gradients, rows: Tensor) -> Measured:
         """Compute all gradients for a batch of rows; return copies of them."""
 
-    def _check_probes(self, probes: Sequence[Callable[[int], Tensor]]) -> None:
-        """Fall back unless the gradients agree on some rows of each probe.
-
-        Args:
-            probes: seed -> rows.
-        """
-        for make_rows in probes:
-            batches = (make_rows(seed) for seed in range(ATTEMPTS))
-            if not any(self._agree(rows, floor=0.0) for rows in batches):
-                return self._fall_back()
+    def _agree_on_probe(self, probe: Callable[[int], Tensor]) -> bool:
+        """Return whether the gradients agree on one of some batches: seed -> rows."""
+        batches = (probe(seed) for seed in range(ATTEMPTS))
+        return any(self._agree(rows, floor=0.0) for rows in batches)
 
     def _select(self, rows: Tensor) -> Gradients:
         """Return the gradients for an update, compared on its rows when it is time."""
