@@ -2,7 +2,7 @@
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Generic, Literal, TypeVar
 
@@ -12,11 +12,12 @@ from torch import Tensor
 TOLERANCE = 1e-4
 """Relative difference allowed in each parameter's gradient and each reported number.
 
-float32 rounding stays below 3e-5 (200 initialisations; see tests/test_gradient_check).
+float32 rounding: at most 7e-5, and in 99 % below 7e-6, in 900 comparisons at the start
+of 600 runs; at most 1.5e-5 in 4,000 comparisons within runs, where two more met a kink.
 """
 
 FLOOR = 0.1
-"""Least norm that the differences of numbers, and of gradients in a run, are relative to.
+"""Least norm that differences of numbers, and of gradients in a run, are relative to.
 
 Sums of many rows may vanish, but their rounding errors do not.
 """
@@ -27,8 +28,8 @@ INTERVAL = 1000
 ATTEMPTS = 3
 """Batches that must all differ before native gradients are given up.
 
-A ReLU's input within rounding of 0, or a ratio within rounding of the clip range, makes
-a single batch differ; an error makes every batch differ.
+A kink makes a single batch differ: a ReLU's input within rounding of 0, equal critics,
+a ratio within rounding of the clip range. An error makes every batch differ.
 """
 
 GradientSource = Literal["native", "torchrl"]
@@ -58,16 +59,10 @@ class GradientCheck(ABC, Generic[Gradients]):
     def _measure(self, gradients: Gradients, rows: Tensor) -> Measured:
         """Compute all gradients for a batch of rows; return copies of them."""
 
-    def _check_probes(self, probes: Sequence[Callable[[int], Tensor]]) -> None:
-        """Fall back unless the gradients agree on some rows of each probe.
-
-        Args:
-            probes: seed -> rows.
-        """
-        for make_rows in probes:
-            batches = (make_rows(seed) for seed in range(ATTEMPTS))
-            if not any(self._agree(rows, floor=0.0) for rows in batches):
-                return self._fall_back()
+    def _agree_on_probe(self, probe: Callable[[int], Tensor]) -> bool:
+        """Return whether the gradients agree on one of some batches: seed -> rows."""
+        batches = (probe(seed) for seed in range(ATTEMPTS))
+        return any(self._agree(rows, floor=0.0) for rows in batches)
 
     def _select(self, rows: Tensor) -> Gradients:
         """Return the gradients for an update, compared on its rows when it is time."""

@@ -151,7 +151,7 @@ class NativeGradients:
             log_std_at=sum(p.numel() for p in actor.body.parameters()),
             action_scale=actor.action_scale.numpy(),
             clip=self.clip,
-            critic_coefficient=float(loss.critic_coeff),
+            critic_coefficient=float(loss.critic_coeff or 0.0),  # None for 0
         )
         self._reserve(0)
 
@@ -208,7 +208,10 @@ class CheckedGradients(GradientCheck[Gradients]):
         spread = partial(ppo_probe, actor, clip, 2 * BLOCK_ROWS + 1)
         tensors = [param.data for param in self._params.values()]
         with perturbed([*tensors, *actor.norm.buffers()]):
-            self._check_probes([spread, partial(entropy_probe, actor, clip)])
+            probes = (spread, partial(entropy_probe, actor, clip))
+            agree = all(self._agree_on_probe(probe) for probe in probes)
+        if not agree:
+            self._fall_back()
 
     def __call__(self, rows: Tensor) -> MinibatchStats:
         """See `Gradients`."""
