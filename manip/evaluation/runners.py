@@ -5,6 +5,7 @@ import signal
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,7 @@ from manip.envs.task import Task
 from manip.evaluation.episodes import Episode, Policy, run_episodes
 from manip.observation import check_observation
 from manip.robot_config import RobotConfig
+from manip.sim.robosuite_log import quiet_robosuite
 from manip.sim.scene import Fidelity
 
 Progress = Callable[[int], None]
@@ -106,13 +108,15 @@ def _stock_episodes(policy: Policy, settings: EpisodeSettings) -> Iterator[Episo
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(processes, context, _start_worker, (policy, settings))
     try:
-        yield from pool.map(_episode_of_worker, range(settings.episodes))
+        with _interrupts_blocked():
+            episodes = pool.map(_episode_of_worker, range(settings.episodes))
+        yield from episodes
     except BrokenProcessPool as error:
         raise ChildProcessError(
             "a process that ran episodes has died: is there too little memory?"
         ) from error
     finally:
-        pool.shutdown(cancel_futures=True)
+        _end(pool)
 
 
 def _stock_episode(env: TaskEnv, policy: Policy, index: int) -> Episode:
@@ -121,13 +125,34 @@ def _stock_episode(env: TaskEnv, policy: Policy, index: int) -> Episode:
     return run_episodes(env, policy, 1)[0]
 
 
+def _end(pool: ProcessPoolExecutor) -> None:
+    """End the workers at once: episodes that have begun may take a minute."""
+    for process in (pool._processes or {}).values():
+        process.terminate()  # as ProcessPoolExecutor.terminate_workers of Python 3.14
+    pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Block Ctrl-C here and, for good, in processes that are started inside.
+
+    The terminal sends it to all processes; only the parent is to handle it, even while
+    its workers are still importing.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 _worker: dict[str, Any] = {}
 
 
 def _start_worker(policy: Policy, settings: EpisodeSettings) -> None:
     """Prepare a process; the environment is built later, where errors are returned."""
     end_with_parent()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent
+    quiet_robosuite()
     torch.set_num_threads(1)
     _worker.update(policy=policy, settings=settings)
 
