@@ -36,6 +36,7 @@ class EpisodeOptions(TypedDict, total=False):
     reward_weights: Mapping[str, float] | None
     seed: int
     purpose: int
+    first_env: int
 
 
 class TaskBatch(ABC):
@@ -50,6 +51,8 @@ class TaskBatch(ABC):
         reward_weights: weights that replace those of the set, term -> weight.
         seed: episode e of environment i depends on (seed, purpose, i, e) only.
         purpose: see `manip.envs.episode_streams.Purpose`.
+        first_env: number of the first environment in the random streams; batches that
+            share a seed get episodes of their own by it.
 
     Raises:
         UserError: an option is out of its range, or a function of the task returns a
@@ -78,8 +81,10 @@ class TaskBatch(ABC):
         reward_weights: Mapping[str, float] | None = None,
         seed: int = 0,
         purpose: int = TRAINING,
+        first_env: int = 0,
     ) -> None:
         at_least(1, "num_envs", num_envs)
+        at_least(0, "first_env", first_env)
         at_least(1, "horizon", 1 if horizon is None else horizon)
         self.task = task
         self.num_envs = num_envs
@@ -87,6 +92,7 @@ class TaskBatch(ABC):
         self.reward_set = reward
         self.seed = check_seed(seed)
         self.purpose: Purpose = check_purpose(purpose)
+        self.first_env = first_env
         self.episode = np.full(num_envs, -1, dtype=np.int64)
         self._begun = np.zeros(num_envs, bool)
         self.elapsed = np.zeros(num_envs, dtype=np.int64)

@@ -12,6 +12,7 @@ from manip.agents.ppo_kl import PPOKLConfig
 from manip.agents.registry import load_algorithm
 from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
+from manip.envs.episode_streams import CHOICE
 from manip.envs.external_task import ExternalTask
 from manip.envs.make_batch import make_batch
 from manip.envs.task_registry import load_task
@@ -20,12 +21,6 @@ from manip.observation import check_observation
 from manip.training.config import SCALE, TrainConfig
 from manip.training.reward_weights import parse_weights
 from manip.versions import versions
-
-EVAL_SEED = 1_000_000
-"""Added to a run's seed for its evaluations: episodes it never trains on."""
-
-WORKER_SEED = 10_000_000
-"""Added to a run's seed for each worker after the first: episodes of its own."""
 
 
 def training_envs(config: TrainConfig) -> list[TaskEnv]:
@@ -65,16 +60,17 @@ def imitates(config: TrainConfig) -> bool:
 
 
 def _training_env(config: TrainConfig, worker: int, workers: int) -> TaskEnv:
+    num_envs = config.num_envs // workers
     env = _env(
         config,
-        config.num_envs // workers,
+        num_envs,
         expert=imitates(config),
         fidelity=config.fidelity,
         threads=max(1, share_threads(config)[0] // workers),
         horizon=config.horizon,
         reward=config.reward,
         reward_weights=parse_weights(config.reward_weights),
-        seed=config.seed + worker * WORKER_SEED,
+        first_env=worker * num_envs,
         stagger=True,
         restart_fraction=config.restart_fraction,
     )
@@ -83,9 +79,12 @@ def _training_env(config: TrainConfig, worker: int, workers: int) -> TaskEnv:
 
 
 def evaluation_env(config: TrainConfig) -> TaskEnv:
-    """Build the environments of evaluations: exact physics, the task's own horizon."""
-    seed = config.seed + EVAL_SEED
-    return _env(config, config.eval_episodes, threads=config.threads, seed=seed)
+    """Build the environments of evaluations: exact physics, the task's own horizon.
+
+    Their episodes serve to choose the best checkpoint (purpose CHOICE): the run never
+    trains on them, and `manip evaluate` reports on others.
+    """
+    return _env(config, config.eval_episodes, threads=config.threads, purpose=CHOICE)
 
 
 def _env(
@@ -94,7 +93,9 @@ def _env(
     task = load_task(config.task)
     if not isinstance(task, ExternalTask):
         options["dumps"] = config.folder / "dumps"
-    batch = make_batch(task, num_envs, robot=config.robot_config, **options)
+    batch = make_batch(
+        task, num_envs, robot=config.robot_config, seed=config.seed, **options
+    )
     return TaskEnv(batch, expert)
 
 

@@ -105,7 +105,8 @@ class ExternalBatch(NotCopied, TaskBatch):
 
     def episode_seed(self, env_id: int) -> int:
         """The seed of an environment's present episode, below 2^32."""
-        key = self.seed, self.purpose, env_id, int(self.episode[env_id])
+        number = self.first_env + env_id
+        key = self.seed, self.purpose, number, int(self.episode[env_id])
         return int(episode_seed(*key).generate_state(1)[0])
 
     def _start_episodes(self, env_ids: Array) -> None:

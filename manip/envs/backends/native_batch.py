@@ -115,7 +115,9 @@ class NativeBatch(DeepCopied, TaskBatch):
 
     def _start_episodes(self, env_ids: Array) -> None:
         episodes = self.episode[env_ids]
-        streams = EpisodeStreams(self.seed, env_ids, episodes, self.purpose)
+        streams = EpisodeStreams(
+            self.seed, self.first_env + env_ids, episodes, self.purpose
+        )
         start = self.task.sample_start(self.scene, streams)
         self.engine.reset(env_ids, start.qpos, start.fields)
         if self._stagger:

@@ -68,7 +68,9 @@ class StockBatch(NotCopied, TaskBatch):
         return self.stock.sim.model._model
 
     def _start_episodes(self, env_ids: Array) -> None:
-        key = episode_seed(self.seed, self.purpose, 0, int(self.episode[0]))
+        key = episode_seed(
+            self.seed, self.purpose, self.first_env, int(self.episode[0])
+        )
         reseed(self.stock, key)
         with self._exclusive:
             self.stock.reset()
