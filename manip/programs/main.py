@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from manip.errors import unknown
 from manip.programs import cli
-from manip.sim.library_logs import quiet_robosuite
+from manip.sim.robosuite_log import quiet_robosuite
 
 PROGRAMS = {
     "train": "train a policy",
