@@ -30,8 +30,8 @@ def test_a_gradient_that_is_not_finite_is_named_and_changes_no_weight(config) ->
     agent.update(batch.clone())
     batch["next", "reward"][:] = torch.nan
     guard.finite(agent.update(batch))
-    assert any("the gradient of the optimiser" in what for what in guard.lost)
-    assert any("loss" in what for what in guard.lost)
+    assert any("the gradient of the optimiser" in message for message in guard.messages)
+    assert any("loss" in message for message in guard.messages)
     for module in agent.modules().values():
         assert all(tensor.isfinite().all() for tensor in module.state_dict().values())
     NanGuard(other.optimisers(), stop=True)
