@@ -319,16 +319,12 @@ def test_a_task_of_another_library_is_not_rendered(manip, run, monkeypatch) -> N
     assert "dm_control/reach is not stepped by the batch engine" in line
 
 
-def test_a_cards_text_is_shown_inert(manip, run, tmp_path, monkeypatch) -> None:
+def test_markup_in_a_card_is_refused_before_any_episode(manip, run, tmp_path) -> None:
     text = "[red]ppo[/red] [/nonsense] \x1b[2J\n"
     folder = with_card(run, tmp_path.parent / f"{tmp_path.name}-run", algo=text)
-    options = ("--env", "native", "--episodes", "1", "--json", "eval.json")
-    result = manip("evaluate", str(folder), *options)
-    assert result.code == 0, result.err
-    title = " ".join(result.out.split("┏")[0].split())
-    assert r"[red]ppo[/red] [/nonsense] \x1b[2J\n" in title
-    assert "\x1b" not in result.out
-    assert json.loads(Path("eval.json").read_text())["algo"] == text
+    message = refusal(manip("evaluate", str(folder), "--env", "native"))
+    assert r"no plain name: '[red]ppo[/red] [/nonsense] \x1b[2J\n'" in message
+    assert "\x1b" not in message
 
 
 def test_a_result_is_saved_before_it_is_printed(
