@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 import torch
 from training_runs import (
-    finished,
     AGENTS,
     OFTEN,
     ROLLOUT,
@@ -19,6 +18,7 @@ from training_runs import (
     assert_tensorboard_holds,
     contents,
     copy_of,
+    finished,
     new_trainer,
     rewrite,
     state_of,

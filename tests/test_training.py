@@ -10,12 +10,12 @@ import pytest
 import torch
 import yaml
 from training_runs import (
-    finished,
     ROLLOUT,
     TIMES,
     assert_equal_runs,
     assert_tensorboard_holds,
     by_algorithm,
+    finished,
     new_trainer,
     state_of,
     stop_after,

@@ -2,7 +2,6 @@
 
 import contextlib
 import io
-import sys
 import re
 import sys
 from collections.abc import Iterator, Sequence
