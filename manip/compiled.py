@@ -1,40 +1,61 @@
-"""numba set-up: native code without the GIL, kept on disk between processes.
+"""Compile functions with numba: without the GIL, cached on disk between processes.
 
-Nothing needs a build step: code is compiled when it is first called.
+Nothing needs a build step: a function is compiled at its first call.
 """
 
+import atexit
 import os
+import shutil
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from hashlib import sha256
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import numba
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
+from manip.errors import UserError, one_line
+
+
+def _variables() -> str:
+    return " ".join(f"{k}={v}" for k, v in os.environ.items() if k.startswith("NUMBA_"))
+
+
+try:
+    import numba
+except ValueError as error:  # NUMBA_NUM_THREADS=0
+    raise UserError(
+        f"numba cannot be imported with {_variables()}: {one_line(error)}"
+    ) from error
+if numba.config.DISABLE_JIT:
+    raise UserError(
+        "NUMBA_DISABLE_JIT is set, but the batch engine needs compiled code: unset it"
+    )
+
+from numba.core.codegen import JITCodeLibrary  # noqa: E402
+from numba.core.compiler import Compiler  # noqa: E402
 
 _HERE = Path(__file__).parent
 
 
 @cache
 def cache_folder() -> Path:
-    """Folder of the compiled code: in NUMBA_CACHE_DIR, else beside this package.
+    """Folder of the compiled code: in NUMBA_CACHE_DIR, by default in this package.
 
-    Each state of the sources has its own: numba compiles a function anew when its own
-    file changes, but not when a file does whose functions it calls.
+    Its name depends on the sources: numba compiles a function again when the function's
+    own file changes, but not when another file changes whose functions it calls.
     """
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(chosen) if chosen else _HERE / "__pycache__"
+    parent = os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(parent) if parent else _HERE / "__pycache__"
     sources = [path.read_bytes() for path in sorted(_HERE.rglob("*.py"))]
     compiled = b"".join(text for text in sources if b"manip.compiled import" in text)
     return folder / f"native-{sha256(compiled).hexdigest()[:12]}"
 
 
 def cache_is_writable() -> bool:
-    """Whether compiled code can be kept between processes."""
+    """Whether compiled code can be stored for later processes."""
     try:
         cache_folder().mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=cache_folder()):
@@ -46,8 +67,8 @@ def cache_is_writable() -> bool:
 _CACHE = cache_is_writable()
 if not _CACHE:
     warnings.warn(
-        f"compiled code cannot be kept: {cache_folder()} is not writable. Every start "
-        "compiles anew (some 10 s); set NUMBA_CACHE_DIR to a writable folder.",
+        f"compiled code is not cached: {cache_folder()} is not writable. Each process "
+        "compiles again (some 10 s); set NUMBA_CACHE_DIR to a writable folder.",
         stacklevel=2,
     )
 
@@ -69,10 +90,10 @@ def jit(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile as a part of `jit` functions, which Python itself cannot call.
+    """Compile a function that only compiled functions call.
 
-    Unpacking arguments that come from Python takes as long to compile as the
-    function; `jit(kernel.py_func)` can be called.
+    Compiling the entry for Python would take as long as compiling the function. To
+    call it from Python, as tests do, compile `jit(function.py_func)`.
     """
     return numba.njit(function, no_cpython_wrapper=True, **_OPTIONS)
 
@@ -81,7 +102,7 @@ _REORDERED = {"reassoc", "contract", "nsz", "arcp"}
 
 
 def fast_jit(function: Callable[..., Any]) -> Callable[..., Any]:
-    """As `jit`, free to reorder sums: for learning, where no bit is to be matched.
+    """As `jit`, but sums may be reordered: for learning, not for simulation.
 
     Infinities and NaN keep their meaning.
     """
@@ -89,16 +110,67 @@ def fast_jit(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def fast_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile as a part of `fast_jit` functions, as `kernel` does for `jit`."""
+    """Compile a function that only `fast_jit` functions call."""
     return numba.njit(
         function, no_cpython_wrapper=True, fastmath=_REORDERED, **_OPTIONS
     )
 
 
-def _cached(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
-    others = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache_folder())
+@contextmanager
+def fallback_cache(library: str) -> Iterator[None]:
+    """Let another library's functions be compiled where numba can store none of them.
+
+    A library that asks numba for a cache fails on import if neither its own folder nor
+    the home folder is writable. Functions that it defines in this `with` block are
+    then cached in a folder that lasts as long as the process.
+
+    Args:
+        library: its name; it is not imported here.
+    """
+    spec = find_spec(library)
+    if spec is None or spec.origin is None or _can_cache(spec.origin):
+        yield
+        return
+    warnings.warn(
+        f"code that {library} compiles is not cached: neither its folder "
+        f"{Path(spec.origin).parent} nor the home folder is writable. Each process "
+        "compiles it again (some 10 s); set NUMBA_CACHE_DIR to a writable folder.",
+        stacklevel=3,
+    )
+    with _cache_in(_temporary_folder()):
+        yield
+
+
+def _can_cache(source: str) -> bool:
+    """Whether numba finds a place for the compiled functions of a source file."""
+    namespace: dict[str, Any] = {}
+    exec(compile("def probe(): pass", source, "exec"), namespace)
     try:
+        numba.njit(namespace["probe"], cache=True)
+    except RuntimeError:  # "no locator available"
+        return False
+    return True
+
+
+@cache
+def _temporary_folder() -> str:
+    folder = tempfile.mkdtemp(prefix="manip-numba-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
+
+
+@contextmanager
+def _cache_in(folder: str) -> Iterator[None]:
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = folder
+    try:
+        yield
+    finally:
+        numba.config.CACHE_DIR = before
+
+
+def _cached(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
+    with _cache_in(str(cache_folder())):
         return numba.njit(
             function,
             cache=_CACHE,
@@ -106,8 +178,6 @@ def _cached(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
             **options,
             **_OPTIONS,
         )
-    finally:
-        numba.config.CACHE_DIR = others
 
 
 class _SelfContainedLibrary(JITCodeLibrary):

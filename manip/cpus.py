@@ -1,4 +1,4 @@
-"""The processor: how much of it this process may use, and its name."""
+"""The processor: its name, and the CPUs that this process may use."""
 
 import os
 import platform
@@ -7,16 +7,16 @@ from pathlib import Path
 
 
 def usable_cpus() -> int:
-    """CPUs this process may run on (its affinity mask where the system has one)."""
+    """Number of CPUs that this process may use (its affinity mask, if it has one)."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def machine() -> str:
-    """Processor and usable CPUs: what a wall time was taken on."""
+    """Name of the processor and number of usable CPUs, to state beside a wall time."""
     cpuinfo = Path("/proc/cpuinfo")
-    said = cpuinfo.read_text() if cpuinfo.is_file() else ""
-    model = re.search(r"^model name\s*: (.+)$", said, re.MULTILINE)
+    text = cpuinfo.read_text() if cpuinfo.is_file() else ""
+    model = re.search(r"^model name\s*: (.+)$", text, re.MULTILINE)
     name = model[1] if model else platform.processor() or platform.machine()
     return f"{name}, {usable_cpus()} CPU{'s' * (usable_cpus() > 1)}"

@@ -8,6 +8,7 @@ file: `check_origin` refuses it without importing anything.
 import importlib
 import os
 import sys
+from functools import cache
 from importlib.metadata import EntryPoint, distributions
 from pathlib import Path
 
@@ -100,9 +101,13 @@ def _target(name: str, group: str) -> str | None:
 
 def _entry_points(group: str) -> dict[str, EntryPoint]:
     """Entry points of what is installed; the first on sys.path counts."""
-    path = [entry for entry in sys.path if entry not in _added]
+    return _read_entry_points(group, tuple(e for e in sys.path if e not in _added))
+
+
+@cache
+def _read_entry_points(group: str, path: tuple[str, ...]) -> dict[str, EntryPoint]:
     points: dict[str, EntryPoint] = {}
-    for distribution in distributions(path=path):
+    for distribution in distributions(path=list(path)):
         for point in distribution.entry_points.select(group=group):
             points.setdefault(point.name, point)
     return points

@@ -12,13 +12,13 @@ from manip.sim.scene import Scene, load_scene
 
 Array = np.ndarray
 
-WORLDS = 4
-HELD_STEPS = 10
-EVERY_DAY = {"Kinova3", "Jaco"}
-"""Arms whose hands take the cube another way than the Panda's, which all tests use."""
+NUM_ENVS = 4
+LAST_STEPS = 10
+IN_DEFAULT_SUITE = {"Kinova3", "Jaco"}
+"""Arms whose hands grasp in another way than the Panda's, which all tests use."""
 
 ARMS = [
-    name if name in EVERY_DAY else pytest.param(name, marks=pytest.mark.slow)
+    name if name in IN_DEFAULT_SUITE else pytest.param(name, marks=pytest.mark.slow)
     for name in ROBOTS
 ]
 
@@ -33,20 +33,24 @@ def scene(robot: str, lift: Task) -> Scene:
     return load_scene("Lift", lift.sensors, RobotConfig(robot))
 
 
-def test_the_script_lifts_the_cube_and_keeps_it(lift: Task, scene: Scene) -> None:
-    engine, worlds = BatchEngine(scene, WORLDS, threads=2), np.arange(WORLDS)
-    engine.reset(worlds, *lift.sample_start(scene, EpisodeStreams(0, worlds, worlds)))
-    held = []
+def test_the_expert_lifts_the_cube_and_keeps_it(lift: Task, scene: Scene) -> None:
+    engine, env_ids = BatchEngine(scene, NUM_ENVS, threads=2), np.arange(NUM_ENVS)
+    engine.reset(
+        env_ids, *lift.sample_start(scene, EpisodeStreams(0, env_ids, env_ids))
+    )
+    success = []
     for _ in range(lift.horizon):
         engine.step(lift.expert(lift.measure(engine.read())))
-        held.append(lift.success(lift.measure(engine.read())))
+        success.append(lift.success(lift.measure(engine.read())))
     assert engine.broken_count == 0
-    assert np.array(held[-HELD_STEPS:]).all()
+    assert np.array(success[-LAST_STEPS:]).all()
 
 
-def test_only_clumsy_hands_see_their_turn(robot: str, lift: Task, scene: Scene) -> None:
-    seen = lift.observe(lift.measure(BatchEngine(scene, 2).read()))
-    assert ("turn" in seen) == (robot in EVERY_DAY)
+def test_only_clumsy_hands_observe_their_turn(
+    robot: str, lift: Task, scene: Scene
+) -> None:
+    observation = lift.observe(lift.measure(BatchEngine(scene, 2).read()))
+    assert ("turn" in observation) == (robot in IN_DEFAULT_SUITE)
 
 
 def test_a_hand_shuts_to_the_width_that_is_read(lift: Task, scene: Scene) -> None:
@@ -57,17 +61,17 @@ def test_a_hand_shuts_to_the_width_that_is_read(lift: Task, scene: Scene) -> Non
 
 def shut(scene: Scene) -> float:
     """Gap [m] between the pads of the hand in the air, half a second after it shut."""
-    model, handles = scene.visual, scene.layout
-    data, gripper, arm = mujoco.MjData(model), handles.gripper, handles.arm
-    data.qpos[:] = handles.qpos
+    model, layout = scene.visual, scene.layout
+    data, gripper, arm = mujoco.MjData(model), layout.gripper, layout.arm
+    data.qpos[:] = layout.qpos
     for _ in range(500):
         data.ctrl[gripper.actuator] = gripper.bias + gripper.weight * np.sign(
             gripper.speed
         )
-        data.qpos[arm.qpos], data.qvel[arm.dof] = handles.qpos[arm.qpos], 0.0
+        data.qpos[arm.qpos], data.qvel[arm.dof] = layout.qpos[arm.qpos], 0.0
         mujoco.mj_step(model, data)
     first, second = (
-        [model.geom(name).id for name in touch.first.geoms] for touch in handles.touches
+        [model.geom(name).id for name in touch.first.geoms] for touch in layout.touches
     )
     segment = np.zeros(6)
     return min(

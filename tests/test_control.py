@@ -160,20 +160,20 @@ def wrench(goal, pose, velocity: Array, kp: float = 150.0, kd: float = 24.0) -> 
 def test_at_the_goal_only_damping_acts(seed: int) -> None:
     pose = a_pose(seed)
     velocity = np.random.default_rng(seed).normal(size=6)
-    found = wrench(latched(np.zeros(6), *pose), pose, velocity)
-    np.testing.assert_allclose(found, -24.0 * velocity, atol=1e-10)
+    result = wrench(latched(np.zeros(6), *pose), pose, velocity)
+    np.testing.assert_allclose(result, -24.0 * velocity, atol=1e-10)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_away_from_the_goal_the_tool_is_pulled_to_it(seed: int) -> None:
     pose = _, _, _, base = a_pose(seed)
     action = np.random.default_rng(seed).uniform(-1, 1, 6)
-    found = wrench(latched(action, *pose), pose, np.zeros(6))
+    result = wrench(latched(action, *pose), pose, np.zeros(6))
     vector = base @ (0.5 * action[3:])
     angle = np.linalg.norm(vector)
-    np.testing.assert_allclose(found[:3], 150 * base @ (0.05 * action[:3]), atol=1e-9)
+    np.testing.assert_allclose(result[:3], 150 * base @ (0.05 * action[:3]), atol=1e-9)
     np.testing.assert_allclose(
-        found[3:], 150 * np.sin(angle) * vector / angle, atol=1e-4
+        result[3:], 150 * np.sin(angle) * vector / angle, atol=1e-4
     )
 
 
@@ -215,14 +215,14 @@ def test_the_null_space_does_not_move_the_tool(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_joint_torques_give_the_acceleration_asked(seed: int) -> None:
+def test_joint_torques_give_the_desired_acceleration(seed: int) -> None:
     mass, _, rng = an_arm(seed)
     acceleration, bias = rng.normal(size=(2, 7))
     w = new_work(7)
     w.mass[:], w.joint_acc[:], w.bias[:] = mass, acceleration, bias
     joint_torque(w)
-    found = np.linalg.solve(mass, w.torque - bias)
-    np.testing.assert_allclose(found, acceleration, rtol=1e-9)
+    result = np.linalg.solve(mass, w.torque - bias)
+    np.testing.assert_allclose(result, acceleration, rtol=1e-9)
 
 
 def test_gains_are_robosuites_defaults(lift_scene: Scene) -> None:

@@ -6,10 +6,8 @@ import dm_env
 import numpy as np
 import pytest
 from dm_env.test_utils import EnvironmentTestMixin
-from tiny import Tiny
 
 from manip.envs.adapters.dm_env import TaskEnvironment
-from manip.envs import make_batch as single
 from manip.envs.backends import native_batch as native
 from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.task_registry import load_task
@@ -30,11 +28,11 @@ class TestDmEnvSuite(EnvironmentTestMixin, TestCase):
 
 def test_observations_are_the_tasks_parts() -> None:
     env = TaskEnvironment("Reach", seed=3)
-    worlds = NativeBatch(load_task("Reach"), 1, seed=3)
-    worlds.begin(np.zeros(1, int))
-    found, expected = env.reset().observation, worlds.observe().observation[0]
-    assert list(found) == list(env.observation_spec()) == list(worlds.layout)
-    np.testing.assert_array_equal(np.concatenate(list(found.values())), expected)
+    batch = NativeBatch(load_task("Reach"), 1, seed=3)
+    batch.begin(np.zeros(1, int))
+    parts, expected = env.reset().observation, batch.observe().observation[0]
+    assert (*parts,) == (*env.observation_spec(),) == batch.observation_spec.names
+    np.testing.assert_array_equal(np.concatenate(list(parts.values())), expected)
 
 
 def test_at_the_time_limit_the_discount_is_1() -> None:
@@ -44,23 +42,21 @@ def test_at_the_time_limit_the_discount_is_1() -> None:
     assert [each.last() for each in steps] == [False, False, True, False]
 
 
-def test_a_failure_ends_with_discount_0(monkeypatch) -> None:
-    monkeypatch.setattr(single, "load_task", lambda name: Tiny())
-    env, action = TaskEnvironment("Tiny"), -np.ones(7, np.float32)
+def test_a_failure_ends_with_discount_0() -> None:
+    env, action = TaskEnvironment("tiny:Tiny"), -np.ones(7, np.float32)
     env.reset()
     steps = [env.step(action) for _ in range(3)]
     assert [each.discount for each in steps] == [1.0, 1.0, 0.0]
 
 
-def test_success_is_told(monkeypatch) -> None:
-    monkeypatch.setattr(single, "load_task", lambda name: Tiny())
-    env, action = TaskEnvironment("Tiny"), np.ones(7, np.float32)
+def test_success_is_an_attribute() -> None:
+    env, action = TaskEnvironment("tiny:Tiny"), np.ones(7, np.float32)
     env.reset()
-    found = []
+    success = []
     for _ in range(8):
         env.step(action)
-        found.append(env.success)
-    assert found == [False] * 4 + [True] * 4
+        success.append(env.success)
+    assert success == [False] * 4 + [True] * 4
 
 
 def test_a_seed_gives_the_same_episodes_and_each_is_another() -> None:

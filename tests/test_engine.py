@@ -1,90 +1,43 @@
-"""The batch engine: worlds that do not feel each other, replayed bit for bit."""
+"""The batch engine: independent environments, replayed bit for bit."""
 
-import os
-import subprocess
-import sys
-
-import mujoco
 import numpy as np
 import pytest
+from engines import close_in, random_actions, run, start, started
 
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Task
-from manip.errors import UserError
-from manip.robot_config import RobotConfig
 from manip.sim.batch_engine import BatchEngine
-from manip.sim.robosuite_factory import make_stock
-from manip.sim.scene import Scene, build_scene
-from manip.sim.sensors import Sensors
+from manip.sim.scene import Scene
 
 Array = np.ndarray
 
 
-def start(task: Task, engine: BatchEngine, seed: int = 0) -> None:
-    """Begin an episode in every world."""
-    worlds = np.arange(engine.num_envs)
-    streams = EpisodeStreams(seed, worlds, 0 * worlds)
-    engine.reset(worlds, *task.sample_start(engine.scene, streams))
-
-
-def started(task: Task, scene: Scene, num_envs: int, threads: int = 1) -> BatchEngine:
-    engine = BatchEngine(scene, num_envs, threads)
-    start(task, engine)
-    return engine
-
-
-def random_actions(steps: int, num_envs: int, action_dim: int = 7) -> Array:
-    return np.random.default_rng(1).uniform(-1, 1, (steps, num_envs, action_dim))
-
-
-def run(engine: BatchEngine, actions: Array) -> None:
-    for action in actions:
-        engine.step(action)
-
-
-def close_in(task: Task, engine: BatchEngine, steps: int) -> None:
-    """Let the script bring every world into contact."""
-    for _ in range(steps):
-        engine.step(task.expert(task.measure(engine.read())))
-
-
-def assert_same(a: BatchEngine, b: BatchEngine, worlds=slice(None)) -> None:
-    ours, theirs = a.save(worlds), b.save(worlds)
+def assert_same(a: BatchEngine, b: BatchEngine, env_ids=slice(None)) -> None:
+    ours, theirs = a.save(env_ids), b.save(env_ids)
     np.testing.assert_array_equal(ours.states, theirs.states)
     np.testing.assert_array_equal(ours.readings, theirs.readings)
 
 
-def forward(scene: Scene, qpos: Array) -> mujoco.MjData:
-    data = mujoco.MjData(scene.physics)
-    data.qpos[:] = qpos
-    mujoco.mj_forward(scene.physics, data)
-    return data
+# Batches and threads
 
 
-def tool(scene: Scene, qpos: Array) -> Array:
-    return forward(scene, qpos).site_xpos[scene.layout.arm.tool]
-
-
-# TaskBatch and threads
-
-
-def test_a_batch_is_its_worlds_one_by_one(lift: Task, lift_scene: Scene) -> None:
+def test_a_batch_is_its_environments_one_by_one(lift: Task, lift_scene: Scene) -> None:
     batch = started(lift, lift_scene, 3, threads=2)
     single = BatchEngine(lift_scene, 1)
     close_in(lift, batch, 8)
     begin, actions = batch.save(), random_actions(10, 3)
     run(batch, actions)
-    for world in range(3):
-        single.restore(batch_row(begin, world))
-        run(single, actions[:, world : world + 1])
-        np.testing.assert_array_equal(single.states[0], batch.states[world])
+    for env_id in range(3):
+        single.restore(batch_row(begin, env_id))
+        run(single, actions[:, env_id : env_id + 1])
+        np.testing.assert_array_equal(single.states[0], batch.states[env_id])
         np.testing.assert_array_equal(
-            single.save().readings[0], batch.save().readings[world]
+            single.save().readings[0], batch.save().readings[env_id]
         )
 
 
-def batch_row(snapshot, world: int):
-    one = slice(world, world + 1)
+def batch_row(snapshot, env_id: int):
+    one = slice(env_id, env_id + 1)
     return type(snapshot)(snapshot.states[one], snapshot.readings[one])
 
 
@@ -100,14 +53,16 @@ def test_the_number_of_threads_changes_no_bit(
     assert_same(one, many)
 
 
-def test_no_more_threads_than_worlds(lift_scene: Scene) -> None:
+def test_no_more_threads_than_environments(lift_scene: Scene) -> None:
     assert BatchEngine(lift_scene, 2, threads=7).threads == 2
 
 
 # Save and restore
 
 
-def test_a_restored_world_replays_bit_for_bit(lift: Task, lift_scene: Scene) -> None:
+def test_a_restored_environment_replays_bit_for_bit(
+    lift: Task, lift_scene: Scene
+) -> None:
     engine = started(lift, lift_scene, 2)
     close_in(lift, engine, 16)
     saved, actions = engine.save(), random_actions(5, 2)
@@ -120,7 +75,7 @@ def test_a_restored_world_replays_bit_for_bit(lift: Task, lift_scene: Scene) -> 
     np.testing.assert_array_equal(engine.save().readings, first.readings)
 
 
-def test_worlds_move_to_other_places_and_engines(
+def test_environments_move_to_other_places_and_engines(
     reach: Task, reach_scene: Scene
 ) -> None:
     here = started(reach, reach_scene, 3)
@@ -152,7 +107,7 @@ def test_hidden_controller_state_is_saved(lift: Task, lift_scene: Scene) -> None
 def test_hidden_controller_state_steers(
     hidden: str, lift: Task, lift_scene: Scene
 ) -> None:
-    """Else the test above would say nothing."""
+    """Otherwise the test above could not fail."""
     engine = started(lift, lift_scene, 2)
     engine.restore(engine.save([0, 0]))
     engine.states[1, engine.state_columns(hidden)] += 0.4
@@ -173,14 +128,14 @@ def test_a_reset_forgets_the_episode_before(lift: Task, lift_scene: Scene) -> No
     assert_same(used, fresh)
 
 
-def test_a_partial_reset_leaves_the_other_worlds(lift: Task, lift_scene: Scene) -> None:
+def test_a_partial_reset_leaves_the_others(lift: Task, lift_scene: Scene) -> None:
     reset, plain = (started(lift, lift_scene, 4, threads=2) for _ in range(2))
     actions = random_actions(6, 4)
     run(reset, actions[:3])
     run(plain, actions[:3])
-    worlds = np.array([1])
-    streams = EpisodeStreams(9, worlds, worlds)
-    reset.reset(worlds, *lift.sample_start(lift_scene, streams))
+    env_ids = np.array([1])
+    streams = EpisodeStreams(9, env_ids, env_ids)
+    reset.reset(env_ids, *lift.sample_start(lift_scene, streams))
     others = np.array([0, 2, 3])
     assert_same(reset, plain, others)
     run(reset, actions[3:])
@@ -189,7 +144,7 @@ def test_a_partial_reset_leaves_the_other_worlds(lift: Task, lift_scene: Scene) 
     assert (reset.states[1] != plain.states[1]).any()
 
 
-def test_fields_belong_to_a_world(reach: Task, reach_scene: Scene) -> None:
+def test_fields_belong_to_an_environment(reach: Task, reach_scene: Scene) -> None:
     engine = started(reach, reach_scene, 3)
     before = engine.read()["goal_pos"].copy()
     qpos = engine.read()["qpos"][[1]].copy()
@@ -211,7 +166,7 @@ def test_a_reset_without_fields_takes_the_models(
     np.testing.assert_array_equal(engine.read()["goal_pos"], goals)
 
 
-def test_pictures_show_the_fields_of_their_world(
+def test_pictures_show_the_fields_of_their_environment(
     reach: Task, reach_scene: Scene
 ) -> None:
     engine = started(reach, reach_scene, 2)
@@ -221,55 +176,6 @@ def test_pictures_show_the_fields_of_their_world(
     np.testing.assert_array_equal(drawn.site_pos[site], engine.read()["goal_pos"][1])
     np.testing.assert_array_equal(reach_scene.visual.site_pos[site], before)
     assert drawn.ngeom == reach_scene.visual.ngeom > reach_scene.physics.ngeom
-
-
-# When readings are of
-
-
-def test_positions_are_one_substep_old_after_a_step(
-    lift: Task, lift_scene: Scene
-) -> None:
-    engine = started(lift, lift_scene, 1)
-    run(engine, random_actions(4, 1))
-    read = {name: values[0].copy() for name, values in engine.read().items()}
-    before = read["qpos"].copy()
-    mujoco.mj_integratePos(
-        lift_scene.physics, before, read["qvel"], -lift_scene.physics.opt.timestep
-    )
-    lag = np.abs(tool(lift_scene, before) - read["eef_pos"]).max()
-    ahead = np.abs(tool(lift_scene, read["qpos"]) - read["eef_pos"]).max()
-    assert lag < 1e-12
-    assert ahead > 1e-6
-
-
-def test_positions_are_fresh_after_a_reset(lift: Task, lift_scene: Scene) -> None:
-    engine = started(lift, lift_scene, 2)
-    close_in(lift, engine, 3)
-    start(lift, engine, seed=1)
-    for read_qpos, eef, cube in zip(
-        *(engine.read()[name] for name in ("qpos", "eef_pos", "cube_pos")), strict=True
-    ):
-        data = forward(lift_scene, read_qpos)
-        tool_site = data.site_xpos[lift_scene.layout.arm.tool]
-        np.testing.assert_array_equal(eef, tool_site)
-        np.testing.assert_array_equal(cube, data.body("cube_main").xpos)
-
-
-def test_read_gives_what_its_docstring_says(lift: Task, lift_scene: Scene) -> None:
-    engine = started(lift, lift_scene, 2)
-    widths = {name: values.shape[1:] for name, values in engine.read().items()}
-    model = lift_scene.physics
-    expected = {
-        "qpos": (model.nq,), "qvel": (model.nv,), "qacc": (model.nv,),
-        "joint_pos": (7,), "joint_vel": (7,), "start_pos": (7,), "rest_pos": (7,),
-        "joint_low": (7,), "joint_high": (7,),
-        "gripper_qpos": (2,), "gripper_qvel": (2,), "gripper_command": (2,),
-        "gripper_closing": (), "gripper_speed": (), "gripper_narrowest": (),
-        "eef_pos": (3,), "eef_mat": (9,), "hand_quat": (4,),
-        "cube_pos": (3,), "cube_quat": (4,), "cube_linvel": (3,), "cube_angvel": (3,),
-        "left_touch": (), "right_touch": (),
-    }  # fmt: skip
-    assert widths == expected
 
 
 # Actions
@@ -302,7 +208,7 @@ def test_the_callers_action_stays_as_it_is(lift: Task, lift_scene: Scene) -> Non
     np.testing.assert_array_equal(action, before)
 
 
-# TaskBatch that break
+# Environments that break
 
 
 def nan_arm(engine: BatchEngine, action: Array) -> None:
@@ -323,7 +229,7 @@ def nan_state(engine: BatchEngine, action: Array) -> None:
 
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("fault", [nan_arm, nan_grip, exploded, nan_state])
-def test_a_broken_world_stays_alone(
+def test_a_broken_environment_stays_alone(
     fault, threads: int, lift: Task, lift_scene: Scene
 ) -> None:
     ill, well = (started(lift, lift_scene, 4, threads) for _ in range(2))
@@ -347,7 +253,7 @@ def test_a_broken_world_stays_alone(
 
 
 @pytest.mark.parametrize("fault", [nan_arm, nan_grip])
-def test_a_broken_world_keeps_the_state_from_before(
+def test_a_broken_environment_keeps_the_state_from_before(
     fault, lift: Task, lift_scene: Scene
 ) -> None:
     engine = started(lift, lift_scene, 2)
@@ -360,7 +266,9 @@ def test_a_broken_world_keeps_the_state_from_before(
     assert all(np.isfinite(values).all() for values in engine.read().values())
 
 
-def test_a_broken_world_recovers_with_a_reset(lift: Task, lift_scene: Scene) -> None:
+def test_a_broken_environment_recovers_with_a_reset(
+    lift: Task, lift_scene: Scene
+) -> None:
     engine = started(lift, lift_scene, 2)
     exploded(engine, np.zeros(0))
     engine.step(np.zeros((2, 7)))
@@ -371,174 +279,3 @@ def test_a_broken_world_recovers_with_a_reset(lift: Task, lift_scene: Scene) -> 
     start(lift, fresh, seed=1)
     fresh.step(np.zeros((2, 7)))
     assert_same(engine, fresh)
-
-
-# Models
-
-
-def test_the_physics_model_is_small(lift_scene: Scene) -> None:
-    physics, visual = lift_scene.physics, lift_scene.visual
-    assert physics.narena <= 64 << 20 < visual.narena
-    assert physics.nbuffer * 10 < visual.nbuffer
-    assert (physics.nmat, physics.ntex) == (0, 0)
-    assert (physics.geom_contype | physics.geom_conaffinity).all()
-
-
-def test_the_visual_model_is_stocks_own(lift_scene: Scene) -> None:
-    stock = lift_scene.stock
-    assert lift_scene.visual is stock.sim.model._model
-    untouched = mujoco.MjModel.from_xml_string(stock.model.get_xml())
-    sizes = "nq", "nv", "nu", "ngeom", "nsensor", "nmat", "ntex", "narena"
-    for size in sizes:
-        assert getattr(lift_scene.visual, size) == getattr(untouched, size), size
-
-
-def test_the_physics_model_weighs_what_stock_does(lift_scene: Scene) -> None:
-    physics, visual = lift_scene.physics, lift_scene.visual
-    names = [visual.body(i).name for i in range(visual.nbody)]
-    assert [physics.body(i).name for i in range(physics.nbody)] == names
-    same = (
-        "body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_armature",
-        "dof_damping", "qpos0", "jnt_range", "actuator_gainprm", "actuator_biasprm",
-        "actuator_ctrlrange",
-    )  # fmt: skip
-    for name in same:
-        ours, theirs = getattr(physics, name), getattr(visual, name)
-        np.testing.assert_array_equal(ours, theirs, err_msg=name)
-    assert physics.opt.timestep == visual.opt.timestep == 0.002
-
-
-def test_fidelity_sets_the_substeps(scene_of, lift: Task, lift_scene: Scene) -> None:
-    fast = scene_of(lift, fidelity="fast")
-    assert (lift_scene.substeps, fast.substeps) == (25, 10)
-    assert lift_scene.control_dt == fast.control_dt == 0.05
-    assert fast.physics.opt.timestep == 0.005
-    assert fast.physics.ngeom < lift_scene.physics.ngeom
-    np.testing.assert_array_equal(fast.physics.body_mass, lift_scene.physics.body_mass)
-
-
-def test_fast_moves_as_exact_does(scene_of, lift: Task, lift_scene: Scene) -> None:
-    fast = started(lift, scene_of(lift, fidelity="fast"), 2)
-    exact = started(lift, lift_scene, 2)
-    begin, actions = exact.read()["eef_pos"].copy(), random_actions(5, 2)
-    run(fast, actions)
-    run(exact, actions)
-    gap = np.abs(fast.read()["eef_pos"] - exact.read()["eef_pos"]).max()
-    moved = np.abs(exact.read()["eef_pos"] - begin).max()
-    assert 0 < gap < 0.004 < moved
-
-
-# What was asked, what exists
-
-
-def test_the_shape_of_an_action_is_checked(lift_scene: Scene) -> None:
-    engine = BatchEngine(lift_scene, 2)
-    text = r"action has shape \(3, 7\), expected \(2, 7\), that is \(num_envs"
-    with pytest.raises(UserError, match=text):
-        engine.step(np.zeros((3, 7)))
-
-
-@pytest.mark.parametrize(
-    ("num_envs", "threads", "text"),
-    [
-        (0, 1, "num_envs must be at least 1, not 0"),
-        (2, 0, "threads must be at least 1, not 0"),
-    ],
-)
-def test_an_engine_needs_worlds_and_threads(
-    num_envs: int, threads: int, text: str, lift_scene: Scene
-) -> None:
-    with pytest.raises(UserError, match=text):
-        BatchEngine(lift_scene, num_envs, threads)
-
-
-@pytest.mark.parametrize(
-    ("sensors", "text"),
-    [
-        (Sensors(bodies={"x": "cube_man"}), "unknown body 'cube_man'.*'cube_main'"),
-        (Sensors(sites={"x": "grip"}), "unknown site 'grip'.*grip_site"),
-        (Sensors(joints={"x": "elbow"}), "unknown joint 'elbow'.*robot0_joint1"),
-        (Sensors(touches={"x": ("pad", "cube_main")}), "unknown body 'pad'.*cube_main"),
-        (
-            Sensors(fields={"x": ("site_pos", "gaol")}),
-            "unknown site 'gaol'.*table_top",
-        ),
-        (
-            Sensors(fields={"x": ("site_place", "table_top")}),
-            "unknown model array 'site_place'.*body_mass.*site_pos",
-        ),
-        (
-            Sensors(fields={"x": ("geom_contype", "floor")}),
-            "unknown model array 'geom_contype'.*geom_friction",
-        ),
-    ],
-)
-def test_unknown_sensors_list_what_exists(
-    sensors: Sensors, text: str, lift_scene: Scene
-) -> None:
-    with pytest.raises(UserError, match=text):
-        build_scene(lift_scene.stock, sensors)
-
-
-@pytest.mark.parametrize(
-    ("asked", "text"),
-    [
-        ({"name": "Lft"}, "unknown robosuite environment 'Lft': did you mean 'Lift'"),
-        (
-            {"robot": RobotConfig("panda7")},
-            "unknown robot 'panda7'.*'Panda'.*known robots: IIWA",
-        ),
-        (
-            {"robot": RobotConfig(controller="OSC")},
-            "unknown controller 'OSC'.*JOINT_POSITION, OSC_POSE",
-        ),
-        (
-            {"robot": RobotConfig(control_freq=30)},
-            "control_freq 30 is not supported: choose one of 10, 20, 25, 50, 100 Hz",
-        ),
-        ({"robot": "Panda"}, r"robot must be RobotConfig\(arm, .* not 'Panda'"),
-    ],
-)
-def test_unknown_robots_list_what_exists(asked: dict, text: str) -> None:
-    with pytest.raises(UserError, match=text):
-        make_stock(**({"name": "Lift"} | asked))
-
-
-# Where compiled code is kept
-
-COMPILE = """
-import warnings
-with warnings.catch_warnings(record=True) as caught:
-    warnings.simplefilter("always")
-    from manip import compiled
-print(*(str(w.message) for w in caught))
-print(compiled.jit(lambda x: x + 1)(1))
-"""
-
-
-def test_a_cache_that_cannot_be_written_is_a_warning() -> None:
-    lines = in_python(COMPILE, NUMBA_CACHE_DIR=f"{os.devnull}/cache")
-    assert f"{os.devnull}/cache/" in lines[0]
-    assert "is not writable" in lines[0]
-    assert "NUMBA_CACHE_DIR" in lines[0]
-    assert lines[1] == "2"
-
-
-def in_python(code: str, **environment: str) -> list[str]:
-    found = subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert found.returncode == 0, found.stderr
-    return found.stdout.splitlines()
-
-
-def test_importing_robosuite_leaves_the_gl_backend_open() -> None:
-    lines = in_python(
-        "import os; os.environ.pop('MUJOCO_GL', None);"
-        "import manip.sim.robosuite_factory; print(os.environ.get('MUJOCO_GL'))"
-    )
-    assert lines[-1] == "None"

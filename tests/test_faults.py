@@ -1,52 +1,45 @@
-"""Numbers that go wrong: caught where they appear, named, kept, and no harm besides."""
+"""Non-finite numbers in an environment: named, stored, and no harm to the others."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
-import toy
 from tiny import Tiny
-from toy import SPACES, Points, make_agent
 
-from manip.agents.a2c import A2CConfig
-from manip.agents.a3c import A3CConfig
-from manip.agents.bc import BCConfig
 from manip.envs.backends.native_batch import DUMP_FORMAT, MOST_DUMPS, NativeBatch
 from manip.envs.task import Task
-from manip.envs.task_batch import TimeStep
+from manip.envs.time_step import TimeStep
 from manip.errors import UserError
 from manip.io.tensor_trees import load_tree, save_tree
 from manip.programs import cli, replay
 from manip.sim.scene import Scene
-from manip.training.collector import Rollout
-from manip.training.nan_guard import NanGuard
 
 Array = np.ndarray
 
-N, SICK, WHEN = 64, 17, 2
-"""TaskBatch; the one that falls ill; the step in which it does, counted from 0."""
+N, FAULTY, WHEN = 64, 17, 2
+"""Environments; the one that goes wrong; the step in which it does, from 0."""
 
 
-def ill(m) -> Array:
-    """Where an arm is turned by 2 rad and more."""
+def turned(m) -> Array:
+    """[N] bool: the first joint is turned by 2 rad and more."""
     return m["joint_pos"][:, 0] > 2
 
 
-class IllSeen(Tiny):
-    """An observation that is not finite where an arm is ill."""
+class InfiniteObservation(Tiny):
+    """An observation that is infinite where an arm is turned."""
 
     def observe(self, m):
         parts = super().observe(m)
-        return parts | {"closing": np.where(ill(m)[:, None], np.inf, parts["closing"])}
+        closing = np.where(turned(m)[:, None], np.inf, parts["closing"])
+        return parts | {"closing": closing}
 
 
-class IllPaid(Tiny):
-    """A reward that is not finite where an arm is ill."""
+class NanReward(Tiny):
+    """A reward that is NaN where an arm is turned."""
 
     def reward_terms(self, m, reward):
         terms = super().reward_terms(m, reward)
-        return {"closing": np.where(ill(m), np.nan, terms["closing"])}
+        return {"closing": np.where(turned(m), np.nan, terms["closing"])}
 
 
 @pytest.fixture(scope="module")
@@ -54,130 +47,127 @@ def scene(scene_of) -> Scene:
     return scene_of(Tiny())
 
 
-def played(worlds: NativeBatch, sick: str = "") -> list[TimeStep]:
-    """Five steps; in the third, something happens to one world if it is to be sick."""
-    worlds.begin(np.arange(worlds.num_envs))
-    actions = np.random.default_rng(0).uniform(0.1, 1, (5, worlds.num_envs, 7))
-    moments = []
+def play(batch: NativeBatch, fault: str = "") -> list[TimeStep]:
+    """Take five steps; cause a fault of one environment in the third."""
+    batch.begin(np.arange(batch.num_envs))
+    actions = np.random.default_rng(0).uniform(0.1, 1, (5, batch.num_envs, 7))
+    steps = []
     for number, action in enumerate(actions):
-        if sick and number == WHEN:
-            if sick == "action":
-                action[SICK, 3] = np.nan
-            elif sick == "physics":
-                worlds.engine.states[SICK, worlds.scene.physics.nq + 2] = 1e7
+        if fault and number == WHEN:
+            if fault == "action":
+                action[FAULTY, 3] = np.nan
+            elif fault == "physics":
+                batch.engine.states[FAULTY, batch.scene.physics.nq + 2] = 1e7
             else:
-                worlds.engine.states[SICK, 0] = 2.5
-        moments.append(worlds.step(action))
-        worlds.begin(np.flatnonzero(moments[-1].done))
-    return moments
+                batch.engine.states[FAULTY, 0] = 2.5
+        steps.append(batch.step(action))
+        batch.begin(np.flatnonzero(steps[-1].done))
+    return steps
 
 
 CASES = [
     ("physics", Tiny, "physics"),
     ("action", Tiny, "action"),
-    ("observation", IllSeen, "observation 'closing'"),
-    ("reward", IllPaid, "reward term 'closing'"),
+    ("observation", InfiniteObservation, "observation 'closing'"),
+    ("reward", NanReward, "reward term 'closing'"),
 ]
 
 
 @pytest.mark.parametrize(("part", "task", "what"), CASES)
-def test_one_sick_world_of_many_is_named_and_costs_its_episode_only(
-    part: str, task: type[Task], what: str, scene: Scene, tmp_path: Path, capsys
+def test_one_faulty_environment_of_many_is_named_and_loses_its_episode_only(
+    part: str,
+    task: type[Task],
+    what: str,
+    scene: Scene,
+    tmp_path: Path,
+    capsys,
+    monkeypatch,
 ) -> None:
-    worlds = NativeBatch(task(), N, scene=scene, dumps=tmp_path)
-    healthy = played(NativeBatch(task(), N, scene=scene))
-    moments = played(worlds, part)
-    (fault,) = worlds.faults
-    assert fault == (task.__name__, what, SICK, 0, WHEN + 1)
-    others = np.arange(N) != SICK
-    for time_step, well in zip(moments, healthy, strict=True):
+    batch = NativeBatch(task(), N, scene=scene, dumps=tmp_path)
+    healthy = play(NativeBatch(task(), N, scene=scene))
+    steps = play(batch, part)
+    (fault,) = batch.faults
+    assert fault == (task.__name__, what, FAULTY, 0, WHEN + 1)
+    others = np.arange(N) != FAULTY
+    for time_step, well in zip(steps, healthy, strict=True):
         for name in ("observation", "reward", "success", "terminated", "truncated"):
-            found, expected = (getattr(m, name) for m in (time_step, well))
-            np.testing.assert_array_equal(found[others], expected[others])
-            assert np.isfinite(found).all(), name
-    assert moments[WHEN].truncated.tolist() == [world == SICK for world in range(N)]
+            values, expected = (getattr(each, name) for each in (time_step, well))
+            np.testing.assert_array_equal(values[others], expected[others])
+            assert np.isfinite(values).all(), name
+    assert steps[WHEN].truncated.tolist() == [i == FAULTY for i in range(N)]
     (dump,) = tmp_path.iterdir()
     assert cli.run(replay.main, [str(dump)]) == 1
     shown = capsys.readouterr().out
-    assert f"then: {fault}" in shown
-    assert f"now: {task.__name__}: {what} of world 0 is not finite in step" in shown
+    assert str(fault) in shown
+    assert f"{task.__name__}: {what} of environment 0 is not finite in step" in shown
     assert "robot0_joint1" in shown
 
 
-def test_a_replay_is_the_same_step(scene: Scene, tmp_path: Path, capsys) -> None:
-    worlds = NativeBatch(Tiny(), 3, scene=scene, dumps=tmp_path)
-    worlds.begin(np.arange(3))
-    worlds.step(np.full((3, 7), 0.4))
-    before = worlds.engine.save()
+def broken_step(scene: Scene, folder: Path) -> tuple[Path, NativeBatch]:
+    """A dump of a NaN action in environment 1 of 3, and the batch before that step."""
+    batch = NativeBatch(Tiny(), 3, scene=scene, dumps=folder)
+    before = NativeBatch(Tiny(), 3, scene=scene)
     action = np.full((3, 7), 0.4)
+    for each in (batch, before):
+        each.begin(np.arange(3))
+        each.step(action)
     action[1, 0] = np.nan
-    worlds.step(action)
-    (dump,) = tmp_path.iterdir()
-    kept = load_tree(dump)
-    kept["rig"] |= {"dumps": str(tmp_path / "elsewhere"), "num_envs": 9}
-    again = replay._world(kept)
-    np.testing.assert_array_equal(again.engine.states, before.states[[1]])
-    np.testing.assert_array_equal(again.engine.save().readings, before.readings[[1]])
+    batch.step(action)
+    (dump,) = folder.iterdir()
+    return dump, before
 
 
-def test_a_fault_can_end_the_run_and_says_how_to_see_it_again(scene, tmp_path) -> None:
-    worlds = NativeBatch(IllPaid(), N, scene=scene, dumps=tmp_path)
-    worlds.stop_at_faults = True
-    told = (
-        f"IllPaid: reward term 'closing' of world {SICK} is not finite in step 3 of its"
-    )
-    with pytest.raises(UserError, match=f"{told} episode 0; manip replay {tmp_path}"):
-        played(worlds, "reward")
+def test_a_dump_holds_the_state_before_the_step(scene: Scene, tmp_path: Path) -> None:
+    path, before = broken_step(scene, tmp_path)
+    dump, expected = load_tree(path), before.engine.save(np.array([1]))
+    again = replay._batch(dump, Tiny())
+    np.testing.assert_array_equal(again.engine.states, expected.states)
+    np.testing.assert_array_equal(again.engine.save().readings, expected.readings)
 
 
-def test_a_run_keeps_a_bounded_number_of_faults(scene: Scene, tmp_path: Path) -> None:
-    worlds = NativeBatch(Tiny(), N, scene=scene, dumps=tmp_path)
-    worlds.begin(np.arange(N))
-    worlds.step(np.full((N, 7), np.nan))
-    assert len(worlds.faults) == N
-    assert len(list(tmp_path.iterdir())) == MOST_DUMPS
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"robot": {"arm": "Panda", "dumps": "elsewhere"}},
+        {"state": np.zeros(1)},
+        {"readings": np.zeros(3)},
+        {"action": np.zeros(3)},
+        {"reward_weights": {"closing": 1e300}},
+        {"fidelity": "fasst"},
+        {"fault": {"a": 1}},
+    ],
+    ids=str,
+)
+def test_a_dump_that_does_not_fit_is_refused(
+    change: dict, scene: Scene, tmp_path: Path, capsys
+) -> None:
+    path, _ = broken_step(scene, tmp_path)
+    save_tree(path, load_tree(path) | change)
+    assert cli.run(replay.main, [str(path)]) == 2
+    assert capsys.readouterr().err.startswith("manip: error: ")
 
 
-def test_what_is_no_kept_step_is_refused(tmp_path: Path, capsys) -> None:
+def test_a_file_that_is_no_dump_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "dump.safetensors"
     assert cli.run(replay.main, [str(path)]) == 2
-    save_tree(path, {"format": DUMP_FORMAT, "fault": {"a": 1}})
+    save_tree(path, {"format": DUMP_FORMAT - 1})
     assert cli.run(replay.main, [str(path)]) == 2
-    assert "does not fit this version" in capsys.readouterr().err
 
 
-QUICK = {name: value for name, value in vars(toy).items() if name.startswith("QUICK")}
+def test_a_fault_can_end_the_run_and_names_its_dump(scene, tmp_path) -> None:
+    batch = NativeBatch(NanReward(), N, scene=scene, dumps=tmp_path)
+    batch.stop_at_faults = True
+    message = (
+        f"NanReward: reward term 'closing' of environment {FAULTY} is not finite in "
+        f"step 3 of its episode 0; manip replay {tmp_path}"
+    )
+    with pytest.raises(UserError, match=message):
+        play(batch, "reward")
 
 
-def test_every_algorithm_is_looked_at() -> None:
-    without = {A3CConfig, BCConfig}
-    shipped = toy.ALGORITHMS
-    assert {type(config) for config in QUICK.values()} == {*shipped} - without
-    assert issubclass(shipped[A3CConfig], shipped[A2CConfig])
-
-
-@pytest.mark.parametrize("config", QUICK.values(), ids=QUICK)
-def test_a_gradient_that_is_not_finite_is_named_and_changes_no_weight(config) -> None:
-    agent, other = make_agent(config, seed=0), make_agent(config, seed=0)
-    guard = NanGuard(agent.optimisers(), stop=False)
-    batch = Rollout(Points([20] * 32)).collect(agent.policy(), 20).batch
-    agent.update(batch.clone())
-    batch["next", "reward"][:] = torch.nan
-    guard.finite(agent.update(batch))
-    assert any("the gradient of the optimiser" in what for what in guard.lost)
-    assert any("loss" in what for what in guard.lost)
-    for module in agent.modules().values():
-        assert all(tensor.isfinite().all() for tensor in module.state_dict().values())
-    NanGuard(other.optimisers(), stop=True)
-    with pytest.raises(UserError, match=r"gradient of the optimiser .* is not finite"):
-        other.update(batch)
-
-
-def test_finite_gradients_are_left_alone() -> None:
-    weight = torch.nn.Parameter(torch.ones(SPACES.action_dim))
-    optimiser = torch.optim.SGD([weight], 0.5)
-    guard = NanGuard({"all": optimiser}, stop=True)
-    weight.grad = torch.ones(1)
-    optimiser.step()
-    assert weight.item() == 0.5
-    assert guard.finite({"loss": 1.5}) == {"loss": 1.5}
+def test_the_number_of_dumps_is_bounded(scene: Scene, tmp_path: Path) -> None:
+    batch = NativeBatch(Tiny(), N, scene=scene, dumps=tmp_path)
+    batch.begin(np.arange(N))
+    batch.step(np.full((N, 7), np.nan))
+    assert len(batch.faults) == N
+    assert len(list(tmp_path.iterdir())) == MOST_DUMPS

@@ -1,11 +1,13 @@
 """Tasks through Gymnasium: its own checks, batches, ends of episodes, seeds."""
 
 import json
+import os
 import subprocess
 import sys
 import warnings
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -31,7 +33,7 @@ SAME_STEP = {"autoreset_mode": AutoresetMode.SAME_STEP}
 def _shared_scenes(scene_of, monkeypatch) -> None:
     """Environments share the scenes of the session instead of building their own."""
 
-    def load_scene(name, sensors, *rig, **options):
+    def load_scene(name, sensors, *_, **__):
         (task,) = (t for t in map(load_task, task_names()) if t.robosuite_name == name)
         return scene_of(task)
 
@@ -46,19 +48,19 @@ Make = Callable[..., gymnasium.vector.VectorEnv]
 
 @pytest.fixture
 def reaches() -> Make:
-    """N worlds of Reach that end after 4 steps."""
+    """Build N environments of Reach that end after 4 steps."""
     return partial(gymnasium.make_vec, "manip/Reach-v0", max_episode_steps=4)
 
 
 def actions(steps: int, num_envs: int, seed: int = 0) -> Array:
-    """[steps, N, 7] that do not depend on N in the worlds they share."""
-    worlds = [np.random.default_rng([seed, world]) for world in range(num_envs)]
-    drawn = [rng.uniform(-1, 1, (steps, 7)).astype(np.float32) for rng in worlds]
+    """[steps, N, 7] that do not depend on N in the environments they share."""
+    rngs = [np.random.default_rng([seed, env_id]) for env_id in range(num_envs)]
+    drawn = [rng.uniform(-1, 1, (steps, 7)).astype(np.float32) for rng in rngs]
     return np.stack(drawn, axis=1)
 
 
 def play(envs, moves: Array, seed: int = 5) -> list[tuple]:
-    """What a reset and the moves give, in Gymnasium's order."""
+    """Results of a reset and of the moves, in Gymnasium's order."""
     return [envs.reset(seed=seed), *(envs.step(move) for move in moves)]
 
 
@@ -68,11 +70,11 @@ def play(envs, moves: Array, seed: int = 5) -> list[tuple]:
 @pytest.mark.parametrize("name", task_names())
 @pytest.mark.parametrize("env", ["native", "stock"])
 def test_gymnasiums_checker_passes(name: str, env: str) -> None:
-    made = gymnasium.make(f"manip/{name}-v0", env=env)
-    with warnings.catch_warnings(record=True) as told:
+    made = gymnasium.make(f"manip/{name}-v0", backend=env)
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         check_env(made.unwrapped, skip_render_check=True)
-    assert all("infinity" in str(each.message) for each in told)
+    assert all("infinity" in str(each.message) for each in caught)
 
 
 @pytest.mark.parametrize("name", task_names())
@@ -89,34 +91,34 @@ def test_ids_make_the_batch_and_the_single_environment(name: str) -> None:
     assert json.loads(one.spec.to_json())["kwargs"] == {"task": name}
 
 
-def test_options_reach_the_worlds() -> None:
+def test_options_reach_the_batch() -> None:
     envs = gymnasium.make_vec("manip/Reach-v0", num_envs=2, reward="stock", threads=1)
     assert envs.batch.reward_set == "stock"
     assert envs.batch.engine.threads == 1
 
 
-def test_mistakes_are_told() -> None:
+def test_mistakes_are_errors() -> None:
     with pytest.raises(UserError, match="unknown task 'Raech': did you mean 'Reach'"):
         TaskVectorEnv("Raech", 2)
-    with pytest.raises(UserError, match="unknown env 'stok': did you mean 'stock'"):
-        gymnasium.make("manip/Reach-v0", env="stok")
+    with pytest.raises(UserError, match="unknown backend 'stok': did you mean 'stock'"):
+        gymnasium.make("manip/Reach-v0", backend="stok")
     with pytest.raises(UserError, match="unknown reward 'sparse'"):
         gymnasium.make("manip/Reach-v0", reward="sparse")
     with pytest.raises(TypeError, match=r"multiple values for keyword .*'seed'"):
         TaskVectorEnv("Reach", 2, seed=1)
 
 
-def test_whoever_steps_worlds_loads_no_torch() -> None:
+def test_stepping_environments_does_not_load_torch() -> None:
     code = (
         "import sys, manip.envs.adapters.gymnasium; assert 'torch' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-# A batch is its worlds
+# A batch is its environments
 
 
-def test_what_comes_back_is_in_its_space(reaches: Make) -> None:
+def test_results_are_in_their_spaces(reaches: Make) -> None:
     envs = reaches(num_envs=3)
     (first, _), *steps = play(envs, actions(6, 3))
     for observation in first, *(step[0] for step in steps):
@@ -138,7 +140,7 @@ def test_infos_are_batched_as_gymnasium_batches_them(reaches: Make) -> None:
 
 
 def assert_batched_alike(ours: dict, theirs: dict) -> None:
-    """The same names, kinds and shapes, and the same masks of who has an entry."""
+    """The same names, kinds and shapes, and the same masks of entries."""
     assert ours.keys() == theirs.keys()
     for name, value in theirs.items():
         assert type(ours[name]) is type(value), name
@@ -149,27 +151,27 @@ def assert_batched_alike(ours: dict, theirs: dict) -> None:
             assert not name.startswith("_") or (ours[name] == value).all(), name
 
 
-def test_world_0_of_a_batch_is_the_single_environment(reaches: Make) -> None:
+def test_environment_0_of_a_batch_is_the_single_environment(reaches: Make) -> None:
     theirs = reaches(num_envs=1, vectorization_mode="sync", vector_kwargs=SAME_STEP)
     moves = actions(9, 2)
     ours = play(reaches(num_envs=2), moves)
     for many, one in zip(ours, play(theirs, moves[:, :1]), strict=True):
-        assert data_equivalence(tuple(world_0(part) for part in many), one, exact=True)
+        assert data_equivalence(tuple(row_0(part) for part in many), one, exact=True)
 
 
-def world_0(part):
+def row_0(part):
     if isinstance(part, dict):
-        return {name: world_0(value) for name, value in part.items()}
+        return {name: row_0(value) for name, value in part.items()}
     return part[:1]
 
 
-def test_a_batch_repeats_the_worlds_under_it(reaches: Make) -> None:
-    worlds = NativeBatch(load_task("Reach"), 2, horizon=4, seed=5)
+def test_a_batch_repeats_the_native_batch_under_it(reaches: Make) -> None:
+    batch = NativeBatch(load_task("Reach"), 2, horizon=4, seed=5)
     (first, _), *steps = play(reaches(num_envs=2), actions(3, 2))
-    worlds.begin(np.arange(2))
-    np.testing.assert_array_equal(first, worlds.observe().observation)
+    batch.begin(np.arange(2))
+    np.testing.assert_array_equal(first, batch.observe().observation)
     for move, (observation, reward, *_, info) in zip(actions(3, 2), steps, strict=True):
-        time_step = worlds.step(move)
+        time_step = batch.step(move)
         np.testing.assert_array_equal(observation, time_step.observation)
         np.testing.assert_array_equal(reward, time_step.reward)
         np.testing.assert_array_equal(info["success"], time_step.success)
@@ -199,7 +201,7 @@ def test_a_time_limit_truncates_and_restarts_in_the_same_step(reaches: Make) -> 
     assert np.abs(restarted - first).max(axis=1).min() > 0.01
 
 
-def test_only_worlds_that_end_have_a_final_info(reaches: Make) -> None:
+def test_only_environments_that_end_have_a_final_info(reaches: Make) -> None:
     envs = reaches(num_envs=3, max_episode_steps=99)
     moves = actions(2, 3)
     moves[1, 1, 2] = np.nan
@@ -215,10 +217,11 @@ def test_only_worlds_that_end_have_a_final_info(reaches: Make) -> None:
 
 def test_nothing_returned_changes_later(reaches: Make) -> None:
     envs = reaches(num_envs=2)
-    found = play(envs, actions(5, 2))
-    kept = [json.dumps(part, default=lambda a: a.tolist()) for part in found]
+    results = play(envs, actions(5, 2))
+    before = [json.dumps(part, default=lambda a: a.tolist()) for part in results]
     play(envs, actions(5, 2, seed=1), seed=6)
-    assert kept == [json.dumps(part, default=lambda a: a.tolist()) for part in found]
+    after = [json.dumps(part, default=lambda a: a.tolist()) for part in results]
+    assert before == after
 
 
 def test_gymnasiums_statistics_count_our_episodes(reaches: Make) -> None:
@@ -251,13 +254,72 @@ def test_without_a_seed_resets_go_on_and_differ_between_environments(
     assert gaps.min() > 0.01
 
 
+def starts(envs: gymnasium.vector.VectorEnv) -> Array:
+    """Observations [16, D] of a reset with seed 0, and of three more, of 4 each."""
+    return np.concatenate([envs.reset(seed=s)[0] for s in (0, None, None, None)])
+
+
+@pytest.mark.parametrize("mode", ["batch", "native", "stock"])
+def test_streams_of_environments_and_episodes_do_not_overlap(mode: str) -> None:
+    """Gymnasium seeds environment i with seed + i; none may add the episode to it."""
+    options = {} if mode == "batch" else {"vectorization_mode": "sync", "backend": mode}
+    envs = gymnasium.make_vec("manip/Reach-v0", num_envs=4, **options)
+    rows = starts(envs)
+    gaps = np.linalg.norm(rows[:, None] - rows, axis=2) + 9 * np.eye(16)
+    assert gaps.min() > 0.01
+    np.testing.assert_array_equal(starts(envs), rows)
+
+
+def test_an_arm_is_named_by_a_string() -> None:
+    env = gymnasium.make("manip/Reach-v0", robot="Panda")
+    assert env.unwrapped.metadata["render_fps"] == 20
+    with pytest.raises(UserError, match="unknown robot 'Pand': did you mean 'Panda'"):
+        gymnasium.make("manip/Reach-v0", robot="Pand")
+
+
+@pytest.mark.parametrize("steps", [-1, 0, 2.5, 10**12])
+def test_a_time_limit_out_of_range_is_refused(steps: float) -> None:
+    with pytest.raises(UserError, match="horizon must be at"):
+        gymnasium.make_vec("manip/Reach-v0", num_envs=2, max_episode_steps=steps)
+
+
+def test_a_users_own_tasks_and_assets_do_not_hide_ours(tmp_path: Path) -> None:
+    """Beside tasks.py or a package tasks/, all tasks are there, and so are his own."""
+    (tmp_path / "tasks").mkdir()
+    (tmp_path / "tasks/__init__.py").write_text("")
+    (tmp_path / "tasks/press.py").write_text(OWN)
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "assets/__init__.py").write_text("")
+    (tmp_path / "manip_test.py").write_text(USE)
+    (tmp_path / "door.py").write_text("1 / 0")
+    command = [sys.executable, "manip_test.py"]
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+    subprocess.run(command, cwd=tmp_path, env=environment, check=True)
+
+
+OWN = """
+from manip.tasks.lift import Lift
+class Press(Lift): pass
+"""
+
+USE = """
+import gymnasium
+import manip.envs.adapters.gymnasium
+from manip.agents.policy import shipped_policies
+from manip.envs.task_registry import load_task, task_names
+assert all(f"manip/{name}-v0" in gymnasium.registry for name in task_names())
+assert {"Door", "Lift"} <= {*task_names()} and "Lift" in shipped_policies()
+assert type(load_task("tasks.press:Press")).__module__ == "tasks.press"
+"""
+
+
 # Pictures
 
 
 @pytest.mark.skipif(gl.find_backend() is None, reason=gl.INSTALL_HINT)
 @pytest.mark.parametrize("where", ["native", "stock"])
-def test_the_world_is_drawn_as_it_is_now(where: str) -> None:
-    env = gymnasium.make("manip/Reach-v0", env=where, render_mode="rgb_array")
+def test_the_present_state_is_drawn(where: str) -> None:
+    env = gymnasium.make("manip/Reach-v0", backend=where, render_mode="rgb_array")
     env.reset(seed=1)
     still, same = env.render(), env.render()
     for _ in range(3):
@@ -271,6 +333,19 @@ def test_the_world_is_drawn_as_it_is_now(where: str) -> None:
     np.testing.assert_array_equal(still, same)
     for picture in moved, other:
         assert np.abs(picture.astype(int) - still).max() > 30
+
+
+@pytest.mark.skipif(gl.find_backend() is None, reason=gl.INSTALL_HINT)
+def test_an_environment_that_rendered_and_was_not_closed_exits_in_silence() -> None:
+    code = (
+        "import gymnasium, manip.envs.adapters.gymnasium as _\n"
+        "env = gymnasium.make('manip/Reach-v0', render_mode='rgb_array')\n"
+        "env.reset(seed=1); env.render()\n"
+    )
+    command = [sys.executable, "-W", "error", "-c", code]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "Traceback" not in result.stderr
+    assert "EGL" not in result.stderr
 
 
 def test_without_a_render_mode_nothing_is_drawn() -> None:

@@ -1,4 +1,4 @@
-"""Imports point down, read off the sources: errors at the bottom, scripts on top."""
+"""Imports of the sources point down: errors at the bottom, scripts on top."""
 
 import ast
 from collections.abc import Iterator
@@ -22,10 +22,10 @@ TOWER = (
     {"benchmarks", "studies"},
     {"programs"},
 )
-"""Rooms of manip from the bottom up; those of a floor do not know each other."""
+"""Rooms of manip from the bottom up; rooms of one floor do not import each other."""
 
 APART = {("agents", "envs"), ("agents", "sim")}
-"""Imports that would point down, and still are not wanted."""
+"""Imports that would point down, and are forbidden all the same."""
 
 HOME = {
     "mujoco": ("manip/sim",),
@@ -59,16 +59,16 @@ MODULES = {module_of(path): path for path in sources("manip", "tasks", "scripts"
 
 def imports(path: Path) -> set[str]:
     """Modules that a file imports anywhere in it, by their full names."""
-    found = set()
+    names = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            names |= {alias.name for alias in node.names}
         if isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
             for alias in node.names:
                 inside = f"{node.module}.{alias.name}"
-                found.add(inside if inside in MODULES else str(node.module))
-    return found
+                names.add(inside if inside in MODULES else str(node.module))
+    return names
 
 
 GRAPH = {name: imports(path) for name, path in MODULES.items()}
@@ -99,19 +99,19 @@ def test_every_room_has_a_floor() -> None:
 
 
 def test_imports_point_down() -> None:
-    found = list(crossings("manip"))
+    pairs = list(crossings("manip"))
     upward = [
         (module, name)
-        for module, name in found
+        for module, name in pairs
         if floor(room(module)) <= floor(room(name))
     ]
-    assert len(found) > 20
+    assert len(pairs) > 20
     assert upward == []
 
 
-def test_agents_know_no_environment() -> None:
-    found = crossings("manip")
-    assert [(a, b) for a, b in found if (room(a), room(b)) in APART] == []
+def test_agents_import_no_environment() -> None:
+    pairs = crossings("manip")
+    assert [(a, b) for a, b in pairs if (room(a), room(b)) in APART] == []
 
 
 def test_manip_imports_no_task() -> None:
@@ -119,7 +119,7 @@ def test_manip_imports_no_task() -> None:
     assert {room(module) for module in users} == {"tasks"}
 
 
-def test_tasks_see_no_learning() -> None:
+def test_tasks_import_no_learning() -> None:
     allowed = {
         *("tasks", "envs", "rewards", "sim"),
         *("observation", "robot_config", "errors"),
@@ -138,7 +138,7 @@ def test_scripts_only_start_programs() -> None:
 
 
 @pytest.mark.parametrize("library", HOME)
-def test_libraries_stay_at_home(library: str) -> None:
+def test_libraries_are_imported_in_their_places_only(library: str) -> None:
     for module, names in GRAPH.items():
         if any(name.split(".")[0] == library for name in names):
             place = MODULES[module].relative_to(ROOT).as_posix()
@@ -146,13 +146,13 @@ def test_libraries_stay_at_home(library: str) -> None:
 
 
 def reachable(start: str) -> set[str]:
-    found, left = set(), [start]
+    names, left = set(), [start]
     while left:
         name = left.pop()
-        if name not in found:
-            found.add(name)
+        if name not in names:
+            names.add(name)
             left += GRAPH.get(name, ())
-    return found
+    return names
 
 
 @pytest.mark.parametrize("room_name", ["rewards", "agents"])

@@ -1,6 +1,10 @@
-"""Tasks of other libraries: they are the library's own, and work as all others do."""
+"""Tasks of other libraries: equal to the library's own, and used like all others."""
 
 import json
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +14,11 @@ from torchrl.envs.utils import check_env_specs
 
 from manip.agents.policy import load_policy
 from manip.envs.adapters.torchrl import TaskEnv
-from manip.envs.backends.external_batch import (
-    ExternalBatch,
-    external_names,
-    load_external,
-)
+from manip.envs.backends.external_batch import ExternalBatch
 from manip.envs.backends.worker_pool import WorkerPool
+from manip.envs.episode_streams import TRAINING, build_seed
+from manip.envs.external_task import external_names, load_external
+from manip.errors import UserError
 from manip.evaluation import runners as evaluation
 from manip.programs import cli, main
 from manip.robot_config import RobotConfig
@@ -36,147 +39,228 @@ def opened(name: str, num_envs: int = 2, **options: Any) -> ExternalBatch:
 
 
 @pytest.fixture(scope="module", params=[DM, ROBOSUITE])
-def worlds(request) -> ExternalBatch:
+def batch(request) -> ExternalBatch:
     return opened(request.param)
 
 
-def actions(worlds: ExternalBatch, steps: int) -> Array:
-    shape = steps, worlds.num_envs, worlds.action_dim
+def actions(batch: ExternalBatch, steps: int) -> Array:
+    shape = steps, batch.num_envs, batch.action_dim
     return np.random.default_rng(0).uniform(-1, 1, shape).astype(np.float32)
 
 
-def begun(worlds: ExternalBatch, seed: int) -> ExternalBatch:
-    worlds.restart(seed)
-    worlds.begin(np.arange(worlds.num_envs))
-    return worlds
+def begun(batch: ExternalBatch, seed: int) -> ExternalBatch:
+    batch.restart(seed)
+    batch.begin(np.arange(batch.num_envs))
+    return batch
 
 
-def observed(worlds: ExternalBatch, moves: Array) -> Array:
-    return np.array([worlds.step(move).observation for move in moves])
+def observed(batch: ExternalBatch, moves: Array) -> Array:
+    return np.array([batch.step(move).observation for move in moves])
 
 
-# They are the library's own
+# Equal to the library's own
 
 
-def test_dm_controls_world_is_dm_controls() -> None:
-    worlds = begun(opened(DM, 1), 3)
+def test_a_dm_control_task_is_dm_controls() -> None:
+    batch = begun(opened(DM, 1), 3)
     env = composer.Environment(manipulation.load("reach_site_features").task)
-    env.random_state.seed(worlds.episode_seed(0))
+    env.random_state.seed(batch.episode_seed(0))
     shown, spec = env.reset().observation, env.action_spec()
-    assert worlds.layout.keys() == shown.keys()
-    for move in actions(worlds, 5):
-        step, time_step = (
-            env.step(move[0].astype(float) * spec.maximum),
-            worlds.step(move),
-        )
-        for name, part in worlds.layout.items():
+    assert list(batch.observation_spec.names) == list(shown)
+    for move in actions(batch, 5):
+        step = env.step(move[0].astype(float) * spec.maximum)
+        time_step = batch.step(move)
+        parts = batch.observation_spec.split(time_step.observation[0])
+        for name, part in parts.items():
             expected = step.observation[name].ravel().astype(np.float32)
-            np.testing.assert_allclose(
-                time_step.observation[0, part], expected, rtol=1e-4, atol=1e-6
-            )
+            np.testing.assert_allclose(part, expected, rtol=1e-4, atol=1e-6)
         assert time_step.reward == pytest.approx(step.reward)
         assert time_step.success == (step.reward >= SOLVED)
 
 
-def test_robosuites_world_is_robosuites() -> None:
-    worlds = begun(opened(ROBOSUITE, 1), 3)
-    env = make_stock("TwoArmPegInHole", seed=0)
+def test_a_robosuite_task_is_robosuites() -> None:
+    batch = begun(opened(ROBOSUITE, 1), 3)
+    env = make_stock("TwoArmPegInHole", seed=build_seed(0, TRAINING, 0))
     assert len(env.robots) == 2
-    reseed(env, worlds.episode_seed(0))
+    reseed(env, batch.episode_seed(0))
     env.reset()
-    for move in actions(worlds, 5):
+    for move in actions(batch, 5):
         shown, reward, _, _ = env.step(move[0].astype(float))
-        time_step = worlds.step(move)
-        for name, part in worlds.layout.items():
+        time_step = batch.step(move)
+        parts = batch.observation_spec.split(time_step.observation[0])
+        for name, part in parts.items():
             expected = np.ravel(shown[name]).astype(np.float32)
-            np.testing.assert_array_equal(time_step.observation[0, part], expected)
+            np.testing.assert_array_equal(part, expected)
         assert (time_step.reward, time_step.success) == (reward, env._check_success())
-    assert {"robot1_eef_pos", "peg_to_hole"} <= worlds.layout.keys()
-    assert not [name for name in worlds.layout if "acc" in name]
+    assert {"robot1_eef_pos", "peg_to_hole"} <= parts.keys()
+    assert not [name for name in parts if "acc" in name]
+
+
+def test_roles_tell_the_arms_from_the_objects(batch: ExternalBatch) -> None:
+    arm = "jaco_arm/" if batch.task.library == "dm_control" else "robot"
+    for part in batch.observation_spec.parts:
+        assert (part.role == "proprioception") == part.name.startswith(arm), part
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", external_names())
 def test_every_task_runs(name: str) -> None:
-    worlds = opened(name, 1)
-    check_env_specs(TaskEnv(worlds))
-    first = observed(begun(worlds, 1), actions(worlds, 4))
+    batch = opened(name, 1)
+    check_env_specs(TaskEnv(batch))
+    first = observed(begun(batch, 1), actions(batch, 4))
     assert np.isfinite(first).all()
-    np.testing.assert_array_equal(observed(begun(worlds, 1), actions(worlds, 4)), first)
+    np.testing.assert_array_equal(observed(begun(batch, 1), actions(batch, 4)), first)
 
 
-# They work as all others do
+# Used like all others
 
 
-def test_an_episode_runs_to_its_time_limit_and_is_repeated(worlds) -> None:
-    check_env_specs(TaskEnv(worlds))
-    begun(worlds, 7)
-    found = [worlds.step(move) for move in actions(worlds, 6)]
-    ends = [time_step.truncated.tolist() for time_step in found]
+def test_an_episode_runs_to_its_time_limit_and_is_repeated(batch) -> None:
+    check_env_specs(TaskEnv(batch))
+    begun(batch, 7)
+    steps = [batch.step(move) for move in actions(batch, 6)]
+    ends = [time_step.truncated.tolist() for time_step in steps]
     assert ends == 5 * [[False] * 2] + [[True] * 2]
-    assert not np.any([time_step.terminated for time_step in found])
-    first = np.array([time_step.observation for time_step in found])
-    np.testing.assert_array_equal(observed(begun(worlds, 7), actions(worlds, 6)), first)
-    assert not np.allclose(observed(begun(worlds, 8), actions(worlds, 6)), first)
+    assert not np.any([time_step.terminated for time_step in steps])
+    first = np.array([time_step.observation for time_step in steps])
+    np.testing.assert_array_equal(observed(begun(batch, 7), actions(batch, 6)), first)
+    assert not np.allclose(observed(begun(batch, 8), actions(batch, 6)), first)
     assert not np.allclose(first[:, 0], first[:, 1])
 
 
-def test_a_broken_world_is_cut_off(worlds: ExternalBatch) -> None:
-    before = begun(worlds, 0).observe().observation
-    count = worlds.fault_count
-    move = actions(worlds, 1)[0]
+def test_no_two_episodes_of_small_seeds_are_the_same(batch: ExternalBatch) -> None:
+    seeds = []
+    for seed in range(3):
+        batch.restart(seed)
+        for _ in range(3):
+            batch.episode += 1
+            seeds += [batch.episode_seed(env_id) for env_id in range(2)]
+    assert len(set(seeds)) == 18
+
+
+def test_a_diverged_environment_is_cut_off(batch: ExternalBatch) -> None:
+    before = begun(batch, 0).observe().observation
+    count = batch.fault_count
+    move = actions(batch, 1)[0]
     move[1, 0] = np.nan
-    time_step = worlds.step(move)
+    time_step = batch.step(move)
     assert time_step.truncated.tolist() == [False, True]
-    assert worlds.fault_count == count + 1
+    assert batch.fault_count == count + 1
     np.testing.assert_array_equal(time_step.observation[1], before[1])
     assert not np.allclose(time_step.observation[0], before[0])
-    worlds.begin(np.array([1]))
-    assert not worlds.step(actions(worlds, 1)[0]).truncated.any()
+    batch.begin(np.array([1]))
+    assert not batch.step(actions(batch, 1)[0]).truncated.any()
 
 
-def test_saved_worlds_go_on_where_they_were(worlds: ExternalBatch) -> None:
-    moves = actions(worlds, 6)
-    observed(begun(worlds, 2), moves[:4])
-    worlds.begin(np.array([1]))  # saved with no action yet
-    saved, shown = worlds.save_state(), worlds.observe().observation
-    rest = observed(worlds, moves[4:])
-    begun(worlds, 2)
-    worlds.load_state(saved)
-    np.testing.assert_array_equal(worlds.observe().observation, shown)
-    np.testing.assert_array_equal(observed(worlds, moves[4:]), rest)
-    assert worlds.elapsed.tolist() == [6, 2]
+@pytest.mark.parametrize("action", [np.zeros((2, 3)), np.zeros(2), [["up"], ["up"]]])
+def test_an_action_of_another_shape_or_kind_is_refused(action, batch) -> None:
+    begun(batch, 0)
+    with pytest.raises(UserError, match="the action"):
+        batch.step(action)
+
+
+def test_a_step_before_the_first_reset_is_refused(batch: ExternalBatch) -> None:
+    batch.restart(0)
+    with pytest.raises(UserError, match=r"step\(\) was called before reset\(\)"):
+        batch.step(actions(batch, 1)[0])
+
+
+def test_a_saved_state_continues_where_it_was(batch: ExternalBatch) -> None:
+    moves = actions(batch, 6)
+    observed(begun(batch, 2), moves[:4])
+    batch.begin(np.array([1]))  # saved with no action yet
+    saved, shown = batch.save_state(), batch.observe().observation
+    rest = observed(batch, moves[4:])
+    begun(batch, 2)
+    batch.load_state(saved)
+    np.testing.assert_array_equal(batch.observe().observation, shown)
+    np.testing.assert_array_equal(observed(batch, moves[4:]), rest)
+    assert batch.elapsed.tolist() == [6, 2]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"actions": [np.zeros((0, 2))] * 2},
+        {"actions": [np.zeros((0, 2))]},
+        {"elapsed": np.zeros(1, np.int64)},
+        {"episode": np.array([0.0, 0.0])},
+        {"fault_count": -1},
+    ],
+    ids=str,
+)
+def test_a_saved_state_of_other_environments_is_refused(change, batch) -> None:
+    saved = begun(batch, 2).save_state()
+    with pytest.raises(UserError):
+        batch.load_state(saved | change)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [DM, ROBOSUITE])
-def test_episodes_do_not_depend_on_worlds_and_processes(name: str) -> None:
+def test_episodes_do_not_depend_on_num_envs_and_processes(name: str) -> None:
     few, many = opened(name, 2), opened(name, 3, threads=2)
     moves = actions(many, 4)
     expected = observed(begun(few, 1), moves[:, :2])
     np.testing.assert_array_equal(observed(begun(many, 1), moves)[:, :2], expected)
 
 
-def test_success_of_dm_control_is_a_full_reward_and_divergence_breaks() -> None:
-    worlds = begun(opened(DM, 3, stagger=True), 0)
-    assert worlds.elapsed.tolist() == [0, 2, 4]
-    world = worlds._crew._here[0]
+def test_success_of_dm_control_is_a_full_reward_and_divergence_truncates() -> None:
+    batch = begun(opened(DM, 3, stagger=True), 0)
+    assert batch.elapsed.tolist() == [0, 2, 4]
+    simulation = batch._pool._local[0]
     for reward in (0.0, 0.9, 1.0):
-        world._env.task.get_reward = lambda physics, reward=reward: reward
-        assert worlds.step(np.zeros((3, 9))).success[0] == (reward == 1)
-    world._env.physics.data.qvel[0] = np.nan
-    assert worlds.step(np.zeros((3, 9))).truncated[0]
-    assert worlds.fault_count == 1
+        simulation._env.task.get_reward = lambda physics, reward=reward: reward
+        assert batch.step(np.zeros((3, 9))).success[0] == (reward == 1)
+    simulation._env.physics.data.qvel[0] = np.nan
+    assert batch.step(np.zeros((3, 9))).truncated[0]
+    assert batch.fault_count == 1
 
 
-def test_a_process_that_died_is_told() -> None:
-    crew = WorkerPool(str, 2, 2)
-    asked = {0: (3,), 1: (3,)}
-    assert crew.ask("zfill", asked) == {0: "000", 1: "001"}
-    (process,) = crew._home[1]._processes.values()
+def test_a_worker_that_died_is_an_error() -> None:
+    pool = WorkerPool(str, 2, 2)
+    arguments = {0: (3,), 1: (3,)}
+    assert pool.call("zfill", arguments) == {0: "000", 1: "001"}
+    (process,) = pool._workers[1]._processes.values()
     process.kill()
-    with pytest.raises(ChildProcessError, match="a process that steps worlds has died"):
-        crew.ask("zfill", asked)
+    with pytest.raises(ChildProcessError, match="a worker process has died"):
+        pool.call("zfill", arguments)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_workers_end_with_their_parent(number: signal.Signals, tmp_path: Path) -> None:
+    """Even if it is killed: each holds hundreds of megabytes."""
+    (tmp_path / "program.py").write_text(
+        """
+import time
+from manip.envs.backends.worker_pool import WorkerPool
+if __name__ == "__main__":
+    pool = WorkerPool(str, 2, 2)
+    pool.call("zfill", {0: (3,), 1: (3,)})
+    workers = {w: None for w in pool._workers.values()}
+    print(*(pid for worker in workers for pid in worker._processes), flush=True)
+    time.sleep(60)
+"""
+    )
+    command = [sys.executable, str(tmp_path / "program.py")]
+    parent = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    workers = [int(pid) for pid in parent.stdout.readline().split()]
+    assert len(workers) == 2
+    parent.send_signal(number)
+    parent.wait(10)
+    deadline = time.monotonic() + 10
+    while any(map(is_running, workers)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(map(is_running, workers))
+
+
+def is_running(pid: int) -> bool:
+    """A process that has ended may still be listed until its parent collects it."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
 
 
 # Programs
@@ -195,7 +279,7 @@ def start(program: str, *arguments: object) -> int:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("task", [DM, "robosuite/TwoArmLift"])
-def test_it_is_trained_and_judged(task, tmp_path: Path, monkeypatch, capsys) -> None:
+def test_it_is_trained_and_evaluated(task, tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.setattr(evaluation, "usable_cpus", lambda: 1)
     run, result = tmp_path / "run", tmp_path / "eval.json"
     assert start("train", "--task", task, *TINY, "--out", run) == 0
@@ -231,7 +315,7 @@ DM_TASK, OWN = f"--task {DM}", "it needs fidelity exact and restart_fraction 0, 
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         ("--task robosuit/Lift", "unknown library 'robosuit': did you mean 'robosuite"),
         ("--task robosuite/TwoArmLft", "unknown robosuite task 'TwoArmLft': did you"),
@@ -246,17 +330,19 @@ DM_TASK, OWN = f"--task {DM}", "it needs fidelity exact and restart_fraction 0, 
         ("--task Lift --controller JOINT_VELOCITY", "unknown controller"),
     ],
 )
-def test_mistakes_are_one_line(options: str, told: str, tmp_path: Path, capsys) -> None:
+def test_mistakes_are_one_line(
+    options: str, message: str, tmp_path: Path, capsys
+) -> None:
     arguments = (*options.split(), "--threads", 1, "--out", tmp_path / "run")
     assert start("train", *arguments) == 2
     line = capsys.readouterr().err.splitlines()[-1]
-    assert told in line
+    assert message in line
     assert not list(tmp_path.iterdir())
 
 
 def test_tasks_of_a_library_share_its_recipe() -> None:
-    found = recipe("dm_control/lift_brick_features", "sac")
-    assert (found.robot, found.controller, found.control_freq) == ROBOT
-    assert (found.fidelity, found.reward, found.horizon) == ("exact", "stock", 250)
-    assert found.folder == Path("runs/dm_control-lift_brick_features-sac-0")
+    config = recipe("dm_control/lift_brick_features", "sac")
+    assert (config.robot, config.controller, config.control_freq) == ROBOT
+    assert (config.fidelity, config.reward, config.horizon) == ("exact", "stock", 250)
+    assert config.folder == Path("runs/dm_control-lift_brick_features-sac-0")
     assert recipe("robosuite/Door", "ppo").horizon == 500

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scripted import TASKS
+from stock_readings import OBJECT_READINGS, ROBOT_READINGS
 from twin import RESYNCED, copy_state, reading, start_twin, update_memory
 
 from manip.envs.task import Task
@@ -16,23 +17,19 @@ from manip.robot_config import CONTROL_FREQUENCIES, CONTROLLERS, ROBOTS, RobotCo
 from manip.sim.batch_engine import BatchEngine
 from manip.sim.scene import Scene, load_scene
 from manip.sim.stock_reader import stock_reader
-from manip.tasks.dirt import MARKERS
-from manip.tasks.hanging import BASE, CORNER
-from manip.tasks.tool_hang import ToolHang
-from manip.tasks.wipe import TABLE
 
 Array = np.ndarray
 
 JOINT_TOLERANCE = {"OSC_POSE": 1e-5, "OSC_POSITION": 1e-10, "JOINT_POSITION": 1e-12}
 """Largest joint difference [rad] after 50 random steps."""
 
-WORLDS, WORLD = 12, 7
+NUM_ENVS, ENV_ID = 12, 7
 
-HELD_STEPS = 10
+SUCCESS_STEPS = 10
 
 
 class TimeStep(NamedTuple):
-    """The same instant in stock robosuite and in a world of the engine [1, ...].
+    """The same instant in stock robosuite and in an environment of the engine [1, ...].
 
     `read` also holds what was read a step ago, under names that begin with last_.
     """
@@ -51,29 +48,29 @@ Act = Callable[[dict[str, Array], int], Array]
 def play(
     task: Task,
     engine: BatchEngine,
-    world: int,
+    env_id: int,
     seed: int,
     act: Act,
     steps: int,
     resync: int | None = None,
 ) -> Iterator[TimeStep]:
-    """Take the same actions in stock and in one world; the others act at random."""
+    """Take the same actions in stock and one environment; others act at random."""
     stock = engine.scene.stock
-    start_twin(task, engine, [world], seed)
+    start_twin(task, engine, [env_id], seed)
     read_stock = stock_reader(stock, task.sensors)
     rng = np.random.default_rng(seed)
     for step in range(steps):
         if resync and step % resync == 0:
-            copy_state(task, engine, [world])
-        last = reading(engine, world)
+            copy_state(task, engine, [env_id])
+        last = reading(engine, env_id)
         action = act(last, step)
         actions = rng.uniform(-1, 1, (engine.num_envs, action.shape[1]))
-        actions[world] = action[0]
-        found, reward, _, _ = stock.step(action[0])
+        actions[env_id] = action[0]
+        observation, reward, _, _ = stock.step(action[0])
         engine.step(actions)
         now = TimeStep(
-            found,
-            reading(engine, world) | {f"last_{name}": last[name] for name in last},
+            observation,
+            reading(engine, env_id) | {f"last_{name}": last[name] for name in last},
             reward,
             bool(stock._check_success()),
             {name: read_stock()[name] for name in contacts(task)},
@@ -99,7 +96,7 @@ def random_actions(scene: Scene, seed: int) -> Act:
     return lambda read, step: rng.uniform(-1, 1, (1, scene.layout.action_dim))
 
 
-def scripted_actions(task: Task) -> Act:
+def expert_actions(task: Task) -> Act:
     return lambda read, step: task.expert(task.measure(read))
 
 
@@ -124,7 +121,7 @@ RANDOM_RUNS = (
 
 
 class Run(NamedTuple):
-    """A task, played in stock and in a world of the engine."""
+    """A task, played in stock and in the engine."""
 
     task: Task
     scene: Scene
@@ -133,36 +130,36 @@ class Run(NamedTuple):
 
 @pytest.fixture(scope="module", params=RANDOM_RUNS, ids="-".join)
 def random_run(request, scene_of) -> Run:
-    """50 random steps in world 7 of 12, then a reset of it alone and 10 steps more."""
+    """50 random steps in environment 7 of 12, a reset of it alone, 10 steps more."""
     task, controller = load_task(request.param[0]), request.param[1]
     scene = scene_of(task, controller=controller)
-    engine = BatchEngine(scene, WORLDS, threads=2)
+    engine = BatchEngine(scene, NUM_ENVS, threads=2)
     act = random_actions(scene, seed=0)
     trace = [
-        *play(task, engine, WORLD, 7, act, 50),
-        *play(task, engine, WORLD, 8, act, 10),
+        *play(task, engine, ENV_ID, 7, act, 50),
+        *play(task, engine, ENV_ID, 8, act, 10),
     ]
     return Run(task, scene, trace)
 
 
 @pytest.fixture(scope="module", params=TASKS)
-def script_run(request, scene_of) -> Run:
-    """A scripted episode, until it has held its success for a while."""
+def expert_run(request, scene_of) -> Run:
+    """An episode of the expert, until its success has lasted for a while."""
     task = load_task(request.param)
     scene = scene_of(task)
-    act, resync = scripted_actions(task), RESYNCED.get(task.name)
-    moments = play(task, BatchEngine(scene, 1), 0, 2, act, task.horizon, resync)
-    trace, held = [], 0
-    while held < HELD_STEPS:
-        trace.append(next(moments))
-        held = (held + 1) * trace[-1].success
+    act, resync = expert_actions(task), RESYNCED.get(task.name)
+    steps = play(task, BatchEngine(scene, 1), 0, 2, act, task.horizon, resync)
+    trace, successes = [], 0
+    while successes < SUCCESS_STEPS:
+        trace.append(next(steps))
+        successes = (successes + 1) * trace[-1].success
     return Run(task, scene, trace)
 
 
 @pytest.fixture(scope="module")
 def lift_trace(lift: Task, lift_scene: Scene) -> list[TimeStep]:
     engine = BatchEngine(lift_scene, 1)
-    return list(play(lift, engine, 0, 1, scripted_actions(lift), 45))
+    return list(play(lift, engine, 0, 1, expert_actions(lift), 45))
 
 
 def test_joints_follow_stock(random_run: Run) -> None:
@@ -172,132 +169,6 @@ def test_joints_follow_stock(random_run: Run) -> None:
     gaps = [at.read["joint_pos"][0] - at.stock["robot0_joint_pos"] for at in trace]
     assert moved.max() > 0.05
     assert np.abs(gaps).max() <= JOINT_TOLERANCE[controller]
-
-
-def wxyz_to_xyzw(quaternion: Array) -> Array:
-    return quaternion[[1, 2, 3, 0]]
-
-
-Reading = Callable[[dict[str, Array], Scene], Array]
-
-ROBOT_READINGS: dict[str, Reading] = {
-    "robot0_joint_pos": lambda r, s: r["joint_pos"][0],
-    "robot0_joint_vel": lambda r, s: r["joint_vel"][0],
-    "robot0_joint_acc": lambda r, s: r["qacc"][0, s.layout.arm.dof],
-    "robot0_eef_pos": lambda r, s: r["eef_pos"][0],
-    "robot0_eef_quat": lambda r, s: wxyz_to_xyzw(r["hand_quat"][0]),
-    "robot0_gripper_qpos": lambda r, s: r["gripper_qpos"][0],
-    "robot0_gripper_qvel": lambda r, s: r["gripper_qvel"][0],
-}
-
-
-def turned(quaternion: Array) -> Rotation:
-    return Rotation.from_quat(quaternion, scalar_first=True)
-
-
-def seen_from_hand(r: dict[str, Array], body: str, local: Array) -> Array:
-    """Place and turn [7] of a body from the hand, as robosuite observes them.
-
-    It computes them before it looks at the body, so that they belong to the hand as it
-    is and the body as it was a step ago; they are zero at a reset.
-    """
-    if f"last_{body}_pos" not in r:
-        return np.zeros(7)
-    hand, body_turn = turned(r["hand_quat"][0]).inv(), turned(r[f"last_{body}_quat"][0])
-    point = r[f"last_{body}_pos"][0] + body_turn.apply(local)
-    turn = (hand * body_turn).as_quat(canonical=True)
-    return np.concatenate([hand.apply(point - r["eef_pos"][0]), turn])
-
-
-def pose_readings(
-    theirs: str, ours: str, local: Array | None = None
-) -> dict[str, Reading]:
-    """Of a body, in the world and from the hand; or of a `local` point of it.
-
-    robosuite makes the quaternion of such a point from a matrix, with positive w.
-    """
-    at = np.zeros(3) if local is None else local
-    body, quat = f"{ours}_pos", f"{ours}_quat"
-    return {
-        f"{theirs}_pos": lambda r, s: r[body][0] + turned(r[quat][0]).apply(at),
-        f"{theirs}_quat": lambda r, s: (
-            wxyz_to_xyzw(r[quat][0])
-            if local is None
-            else turned(r[quat][0]).as_quat(canonical=True)
-        ),
-        f"{theirs}_to_robot0_eef_pos": lambda r, s: seen_from_hand(r, ours, at)[:3],
-        f"{theirs}_to_robot0_eef_quat": lambda r, s: seen_from_hand(r, ours, at)[3:],
-    }
-
-
-def dirt(r: dict[str, Array]) -> tuple[Array, float]:
-    """Mean place of what was left of the dirt before a step, and its radius."""
-    places = TABLE + np.stack([r[f"marker{i}"][0] for i in range(MARKERS)])
-    left = places[r["was_wiped"][0] == 0]
-    centre = left.mean(axis=0) if len(left) else np.zeros(3)
-    return centre, np.linalg.norm(left - centre, axis=1).max(initial=0.0)
-
-
-def hanging(name: str) -> Reading:
-    return lambda r, s: float(ToolHang().measure(r)[name][0])
-
-
-CUBE: dict[str, Reading] = {
-    "cube_pos": lambda r, s: r["cube_pos"][0],
-    "cube_quat": lambda r, s: wxyz_to_xyzw(r["cube_quat"][0]),
-    "gripper_to_cube_pos": lambda r, s: r["cube_pos"][0] - r["eef_pos"][0],
-}
-
-CUBE_AND_GOAL: dict[str, Reading] = CUBE | {
-    "goal_pos": lambda r, s: r["goal_pos"][0],
-    "cube_to_goal_pos": lambda r, s: r["goal_pos"][0] - r["cube_pos"][0],
-}
-
-OBJECT_READINGS: dict[str, dict[str, Reading]] = {
-    "Door": {
-        "door_pos": lambda r, s: r["door_pos"][0],
-        "handle_pos": lambda r, s: r["handle_pos"][0],
-        "door_to_eef_pos": lambda r, s: r["door_pos"][0] - r["eef_pos"][0],
-        "handle_to_eef_pos": lambda r, s: r["handle_pos"][0] - r["eef_pos"][0],
-        "hinge_qpos": lambda r, s: r["hinge_qpos"][0, 0],
-        "handle_qpos": lambda r, s: r["handle_qpos"][0, 0],
-    },
-    "Lift": CUBE,
-    "NutAssemblyRound": pose_readings("RoundNut", "nut"),
-    "NutAssemblySquare": pose_readings("SquareNut", "nut"),
-    "PickGoal": CUBE_AND_GOAL,
-    "PickPlaceBread": pose_readings("Bread", "object"),
-    "PickPlaceCan": pose_readings("Can", "object"),
-    "PickPlaceCereal": pose_readings("Cereal", "object"),
-    "PickPlaceMilk": pose_readings("Milk", "object"),
-    "Push": CUBE_AND_GOAL,
-    "Reach": {
-        "goal_pos": lambda r, s: r["goal_pos"][0],
-        "gripper_to_goal_pos": lambda r, s: r["goal_pos"][0] - r["eef_pos"][0],
-    },
-    "Stack": {
-        "cubeA_pos": lambda r, s: r["a_pos"][0],
-        "cubeA_quat": lambda r, s: wxyz_to_xyzw(r["a_quat"][0]),
-        "cubeB_pos": lambda r, s: r["b_pos"][0],
-        "cubeB_quat": lambda r, s: wxyz_to_xyzw(r["b_quat"][0]),
-        "cubeA_to_cubeB": lambda r, s: r["b_pos"][0] - r["a_pos"][0],
-        "gripper_to_cubeA": lambda r, s: r["a_pos"][0] - r["eef_pos"][0],
-        "gripper_to_cubeB": lambda r, s: r["b_pos"][0] - r["eef_pos"][0],
-    },
-    "ToolHang": {
-        **pose_readings("base", "stand", BASE),
-        **pose_readings("frame", "frame", CORNER),
-        **pose_readings("tool", "tool", np.zeros(3)),
-        "frame_is_assembled": hanging("assembled"),
-        "tool_on_frame": hanging("hung"),
-    },
-    "Wipe": {
-        "proportion_wiped": lambda r, s: r["was_wiped"].mean(),
-        "wipe_centroid": lambda r, s: dirt(r)[0],
-        "wipe_radius": lambda r, s: dirt(r)[1],
-        "gripper_to_wipe_centroid": lambda r, s: dirt(r)[0] - r["eef_pos"][0],
-    },
-}
 
 
 def assert_reads_as_stock(run: Run, **tolerance: float) -> None:
@@ -311,18 +182,18 @@ def test_readings_are_stock_observations(random_run: Run) -> None:
     assert_reads_as_stock(random_run, rtol=1e-5, atol=1e-5)
 
 
-def test_every_observation_of_stocks_objects_is_compared(script_run: Run) -> None:
-    sensed = script_run.scene.stock._observables.items()
+def test_every_observation_of_stocks_objects_is_compared(expert_run: Run) -> None:
+    sensed = expert_run.scene.stock._observables.items()
     names = {name for name, s in sensed if s.modality == "object" and s.is_active()}
-    assert names == OBJECT_READINGS[script_run.task.name].keys()
+    assert names == OBJECT_READINGS[expert_run.task.name].keys()
 
 
-def test_a_reset_reads_as_stocks(script_run: Run) -> None:
-    task, scene, _ = script_run
+def test_a_reset_reads_as_stocks(expert_run: Run) -> None:
+    task, scene, _ = expert_run
     engine = BatchEngine(scene, 2, threads=1)
     engine.step(np.ones((2, scene.layout.action_dim)))
-    found = start_twin(task, engine, [0], seed=5)
-    now = TimeStep(found, reading(engine, 0), 0.0, False, {}, False)
+    observation = start_twin(task, engine, [0], seed=5)
+    now = TimeStep(observation, reading(engine, 0), 0.0, False, {}, False)
     assert_reads_as_stock(Run(task, scene, [now]), rtol=0, atol=1e-7)
 
 
@@ -345,31 +216,31 @@ def test_stock_reward_of_random_actions_is_robosuites(random_run: Run) -> None:
     assert_pays_as_stock(random_run)
 
 
-def test_stock_reward_of_an_episode_is_robosuites(script_run: Run) -> None:
-    assert_pays_as_stock(script_run)
+def test_stock_reward_of_an_episode_is_robosuites(expert_run: Run) -> None:
+    assert_pays_as_stock(expert_run)
 
 
-def test_success_comes_when_stock_says_so(script_run: Run) -> None:
-    task, trace = script_run.task, script_run.trace
+def test_success_comes_when_stock_says_so(expert_run: Run) -> None:
+    task, trace = expert_run.task, expert_run.trace
     ours = [bool(task.success(task.measure(at.read))[0]) for at in trace]
     assert ours == [at.success for at in trace]
     assert (ours[0], ours[-1]) == (False, True)
 
 
-def test_objects_follow_stock_through_an_episode(script_run: Run) -> None:
-    name = script_run.task.name
-    for at in script_run.trace:
+def test_objects_follow_stock_through_an_episode(expert_run: Run) -> None:
+    name = expert_run.task.name
+    for at in expert_run.trace:
         for key, read in OBJECT_READINGS[name].items():
-            ours, theirs = read(at.read, script_run.scene), at.stock[key]
+            ours, theirs = read(at.read, expert_run.scene), at.stock[key]
             if key.endswith("quat"):
                 ours = ours * np.sign(ours @ theirs)  # q and -q are the same turn
             np.testing.assert_allclose(ours, theirs, 1e-4, 1e-5, err_msg=key)
 
 
-def test_touches_are_stocks(script_run: Run) -> None:
-    for name in contacts(script_run.task):
-        ours = [at.read[name][0] for at in script_run.trace]
-        assert ours == [at.touches[name][0] for at in script_run.trace], name
+def test_touches_are_stocks(expert_run: Run) -> None:
+    for name in contacts(expert_run.task):
+        ours = [at.read[name][0] for at in expert_run.trace]
+        assert ours == [at.touches[name][0] for at in expert_run.trace], name
 
 
 def test_touching_pads_are_stocks_grasp(lift_trace: list[TimeStep]) -> None:

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 from mujoco.rendering.classic import gl_context
+from pendulum import PENDULUM
 from PIL import Image
 
 from manip.errors import UserError
@@ -17,22 +18,6 @@ from manip.io.video import Caption, draw_caption, save_animation
 from manip.sim import gl
 from manip.sim.renderer import camera_names, hide_decorations, render_frames
 from manip.sim.robosuite_factory import make_stock
-
-PENDULUM = """
-<mujoco>
-  <worldbody>
-    <light pos="0 0 3"/>
-    <camera name="front" pos="0 -2 0" xyaxes="1 0 0 0 0 1"/>
-    <site name="goal" pos=".4 0 .4" size=".1" rgba="1 0 0 -1"/>
-    <site name="marker" pos="-.4 0 .4" size=".1" rgba="0 1 0 1"/>
-    <body>
-      <joint axis="0 1 0"/>
-      <geom type="capsule" fromto="0 0 0 0 0 -.5" size=".05" group="1"/>
-      <geom type="sphere" pos=".4 0 -.4" size=".2" group="0" rgba="0 0 1 1"/>
-    </body>
-  </worldbody>
-</mujoco>
-"""
 
 draws = pytest.mark.skipif(gl.find_backend() is None, reason=gl.INSTALL_HINT)
 
@@ -177,7 +162,7 @@ def test_no_frames_is_an_error(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("fresh_search")
 @pytest.mark.parametrize(
-    ("asked", "working", "found"),
+    ("chosen", "working", "expected"),
     [
         ("", {"egl", "osmesa"}, "egl"),
         ("", {"osmesa"}, "osmesa"),
@@ -187,12 +172,15 @@ def test_no_frames_is_an_error(tmp_path: Path) -> None:
         ("egl", set(), None),
     ],
 )
-def test_the_asked_backend_is_tried_first(
-    asked: str, working: set[str], found: str | None, monkeypatch: pytest.MonkeyPatch
+def test_the_chosen_backend_is_tried_first(
+    chosen: str,
+    working: set[str],
+    expected: str | None,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setenv("MUJOCO_GL", asked)
+    monkeypatch.setenv("MUJOCO_GL", chosen)
     monkeypatch.setattr(gl, "_draws", working.__contains__)
-    assert gl.find_backend() == found
+    assert gl.find_backend() == expected
 
 
 @pytest.mark.usefixtures("fresh_search")

@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+import torch
 from dm_control.utils import rewards as dm_rewards
+from tensordict import TensorDict
 
 from manip.errors import UserError
-from manip.rewards.compose import weighted_sum
+from manip.rewards.compose import override_weights, weighted_sum
 from manip.rewards.kernels import near, ramp, tolerance
+from manip.rewards.reward_function import EnvironmentReward
 
 DISTANCES = np.linspace(0, 3, 301)
 POSITIONS = np.linspace(-3, 3, 601)
@@ -84,17 +87,17 @@ def test_a_ramp_needs_ordered_bounds(low: float, high: float) -> None:
         {"value_at_margin": 1.0},
     ],
 )
-def test_tolerance_says_what_it_needs(wrong: dict[str, float]) -> None:
-    asked = {"low": 0.0, "high": 1.0, "margin": 1.0} | wrong
+def test_tolerance_names_what_it_needs(wrong: dict[str, float]) -> None:
+    given = {"low": 0.0, "high": 1.0, "margin": 1.0} | wrong
     text = "tolerance needs low <= high, margin > 0 and 0 < value_at_margin < 1, not "
     with pytest.raises(UserError, match=text):
-        tolerance(DISTANCES, **asked)
+        tolerance(DISTANCES, **given)
 
 
 def test_weighted_sum_adds_terms_times_weights() -> None:
     terms = {"a": np.array([0.0, 1.0, 0.5]), "b": np.array([1.0, 1.0, 0.0])}
-    found = weighted_sum(terms, {"b": 0.25, "a": 0.75})
-    np.testing.assert_array_equal(found, [0.25, 1.0, 0.375])
+    reward = weighted_sum(terms, {"b": 0.25, "a": 0.75})
+    np.testing.assert_array_equal(reward, [0.25, 1.0, 0.375])
 
 
 @pytest.mark.parametrize("names", ["a", "abc", "ac"])
@@ -103,3 +106,29 @@ def test_terms_and_weights_have_the_same_names(names: str) -> None:
     text = r"reward terms \['a'.*and weights \['a', 'b'\] must have the same names"
     with pytest.raises(UserError, match=text):
         weighted_sum(terms, {"a": 0.5, "b": 0.5})
+
+
+def test_overrides_replace_weights_and_leave_the_order() -> None:
+    weights = {"a": 0.5, "b": 0.25, "c": 0.25}
+    replaced = override_weights(weights, {"c": 2, "a": -1.5})
+    assert list(replaced.items()) == [("a", -1.5), ("b", 0.25), ("c", 2)]
+    assert weights == {"a": 0.5, "b": 0.25, "c": 0.25}
+
+
+@pytest.mark.parametrize("weight", [np.nan, -np.inf, 1e300, "1", None, 1j, True])
+def test_a_weight_that_is_no_moderate_number_is_refused(weight) -> None:
+    with pytest.raises(UserError, match="weight of reward term 'a' must be a number"):
+        override_weights({"a": 0.5}, {"a": weight})
+
+
+def test_an_unknown_term_lists_the_terms() -> None:
+    message = "unknown reward term 'lfit': did you mean 'lift'.*terms: lift, reach"
+    with pytest.raises(UserError, match=message):
+        override_weights({"lift": 0.5, "reach": 0.5}, {"lfit": 1.0})
+
+
+def test_the_environments_reward_is_the_default_reward_function() -> None:
+    reward = torch.rand(2, 3, 1)
+    rollout = TensorDict({"next": {"reward": reward}}, [2, 3])
+    assert EnvironmentReward()(rollout) is rollout["next", "reward"]
+    torch.testing.assert_close(EnvironmentReward()(rollout), reward)

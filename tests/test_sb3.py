@@ -43,15 +43,15 @@ def test_its_checker_passes_the_single_environment() -> None:
 
 
 @pytest.mark.usefixtures("_shared_scene")
-def test_a_world_of_the_batch_is_what_its_own_vectors_make_of_one() -> None:
+def test_an_environment_of_the_batch_is_as_in_its_own_vector_environment() -> None:
     single = DummyVecEnv(
         [lambda: gymnasium.make("manip/Reach-v0", max_episode_steps=3)]
     )
     moves = np.random.default_rng(0).uniform(-1, 1, (7, 1, 7)).astype(np.float32)
     for ours, theirs in zip(play(batch(1, 3), moves), play(single, moves), strict=True):
-        for mine, expected in zip(ours[:3], theirs[:3], strict=True):
-            np.testing.assert_array_equal(mine, expected)
-            assert (mine.dtype, mine.shape) == (expected.dtype, expected.shape)
+        for given, expected in zip(ours[:3], theirs[:3], strict=True):
+            np.testing.assert_array_equal(given, expected)
+            assert (given.dtype, given.shape) == (expected.dtype, expected.shape)
         for name in ENDS if theirs[2] else ():
             np.testing.assert_array_equal(ours[3][0][name], theirs[3][0][name])
 
@@ -71,7 +71,7 @@ def test_its_monitor_counts_successes() -> None:
     assert [info["episode"]["is_success"] for info in infos] == [False, False]
 
 
-def test_worlds_that_restart_later_are_refused() -> None:
+def test_environments_that_restart_later_are_refused() -> None:
     late = gymnasium.make_vec("CartPole-v1", num_envs=2, vectorization_mode="sync")
     with pytest.raises(UserError, match="restart in the same step"):
         Sb3VecEnv(late)
@@ -97,8 +97,8 @@ def small_turns(**options: Any) -> VectorEnv:
     return TransformAction(envs, lambda action: scale * action)
 
 
-def held(model: SAC, envs: VectorEnv) -> float:
-    """Share of the worlds whose success is true in the last ten steps of an episode."""
+def success_held(model: SAC, envs: VectorEnv) -> float:
+    """Fraction of episodes whose success is true in their last ten steps."""
     observation, _ = envs.reset(seed=1000)
     streak = np.zeros(envs.num_envs)
     while True:
@@ -114,7 +114,7 @@ def held(model: SAC, envs: VectorEnv) -> float:
 def test_it_learns_reach_through_our_batch() -> None:
     envs = small_turns(num_envs=16, fidelity="fast", stagger=True)
     model = SAC("MlpPolicy", Sb3VecEnv(envs), seed=0, device="cpu", **OPTIONS)
-    judge = small_turns(num_envs=50)
-    assert held(model, judge) < 0.1
+    other_envs = small_turns(num_envs=50)
+    assert success_held(model, other_envs) < 0.1
     model.learn(16_000)
-    assert held(model, judge) >= 0.5
+    assert success_held(model, other_envs) >= 0.5

@@ -1,4 +1,4 @@
-"""The least a task can be, for laws that need no particular one."""
+"""A minimal task, for tests that need no particular one."""
 
 from typing import ClassVar
 
@@ -9,7 +9,7 @@ from manip.sim.sensors import Sensors
 
 
 class Tiny(Task):
-    """Bring the gripper to close; opened, it has failed."""
+    """Close the gripper; opening it is a failure."""
 
     robosuite_name = "Lift"
     sensors = Sensors()

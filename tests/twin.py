@@ -1,4 +1,4 @@
-"""A world of the batch engine that starts where a stock environment stands."""
+"""Environments of the batch engine in the state of a stock environment."""
 
 from collections.abc import Iterable
 
@@ -16,54 +16,57 @@ RESYNCED = {
     "PickPlaceMilk": 1,
     "ToolHang": 5,
 }
-"""Steps after which a scripted twin is put where stock is: what slides along a peg or
-into a post with a millimetre of play turns differences of 1e-8 into millimetres, and
-what rattles between the fingers 1e-10 into 1e-5 at once."""
+"""Steps after which the state of stock is copied again in an episode of the expert. An
+object that slides along a peg or into a post with a millimetre of play turns
+differences of 1e-8 into millimetres; one that rattles between the fingers turns 1e-10
+into 1e-5 at once."""
 
 
-def start_twin(task: Task, engine: BatchEngine, worlds: Iterable[int], seed: int):
-    """Reset the engine's stock environment and put `worlds` where it starts."""
+def start_twin(task: Task, engine: BatchEngine, env_ids: Iterable[int], seed: int):
+    """Reset the engine's stock environment and put `env_ids` in its start state."""
     stock = engine.scene.stock
     reseed(stock, seed)
-    found = stock.reset()
-    copy_start(task, engine, worlds)
-    return found
+    observation = stock.reset()
+    copy_start(task, engine, env_ids)
+    return observation
 
 
-def copy_start(task: Task, engine: BatchEngine, worlds: Iterable[int]) -> None:
-    """Put `worlds` at the start of the episode that the stock environment began."""
+def copy_start(task: Task, engine: BatchEngine, env_ids: Iterable[int]) -> None:
+    """Put `env_ids` at the start of the episode that the stock environment began."""
     stock = engine.scene.stock
     # Stock's first step after a reset would use the mass matrix of its construction
     # (an effect below 1e-6 rad); the engine has no such lag.
     for part in stock.robots[0].part_controllers.values():
         part.new_update = True
     read = stock_reader(stock, task.sensors)()
-    worlds = np.array(list(worlds))
-    rows = np.zeros(len(worlds), dtype=int)
+    env_ids = np.array(list(env_ids))
+    rows = np.zeros(len(env_ids), dtype=int)
     fields = {name: read[name][rows] for name in task.sensors.fields}
-    engine.reset(worlds, read["qpos"][rows], fields)
-    update_memory(task, engine, worlds)
+    engine.reset(env_ids, read["qpos"][rows], fields)
+    update_memory(task, engine, env_ids)
 
 
-def update_memory(task: Task, engine: BatchEngine, worlds: np.ndarray) -> None:
-    """Let a task keep what it wants of the episodes of some worlds [n] int."""
-    kept = task.update_memory(task.measure(engine.read()))
-    engine.write_memory(worlds, {name: values[worlds] for name, values in kept.items()})
+def update_memory(task: Task, engine: BatchEngine, env_ids: np.ndarray) -> None:
+    """Update the task's memory in some environments [n] int."""
+    memory = task.update_memory(task.measure(engine.read()))
+    engine.write_memory(
+        env_ids, {name: values[env_ids] for name, values in memory.items()}
+    )
 
 
-def copy_state(task: Task, engine: BatchEngine, worlds: Iterable[int]) -> None:
-    """Put `worlds` where the stock environment is now, in the midst of its episode."""
+def copy_state(task: Task, engine: BatchEngine, env_ids: Iterable[int]) -> None:
+    """Put `env_ids` in the present state of the stock environment, in mid-episode."""
     stock = engine.scene.stock
     read, data = stock_reader(stock, task.sensors)(), stock.sim.data._data
     hidden = "start_pos", "gripper_command", *task.sensors.fields
     state = [data.qpos, data.qvel, data.qacc_warmstart, *(read[n][0] for n in hidden)]
     row = np.concatenate(state)
-    engine.states[list(worlds), : len(row)] = row
+    engine.states[list(env_ids), : len(row)] = row
 
 
-def reading(engine: BatchEngine, world: int) -> dict[str, np.ndarray]:
-    """What a world reads now, kept as a batch of one."""
+def reading(engine: BatchEngine, env_id: int) -> dict[str, np.ndarray]:
+    """Copy the readings of one environment, as a batch of one."""
     return {
-        name: values[world : world + 1].copy() if len(values) > 1 else values.copy()
+        name: values[env_id : env_id + 1].copy() if len(values) > 1 else values.copy()
         for name, values in engine.read().items()
     }

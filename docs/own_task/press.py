@@ -1,10 +1,10 @@
-"""Press: push a spring-loaded button down. A task of one's own.
+"""Press: push a spring-loaded button down. An example of a user's own task.
 
-Success: the button is more than 10 mm down, of the 15 that it can go.
-Failure: none; an episode ends by time.
+Success: the button is more than 10 mm down, of at most 15 mm.
+Failure: none; an episode ends at its time limit.
 Start: button uniform in a square of 24 cm on the table; arm in its default pose with
-    0.02 rad noise a joint.
-Shaped reward, in [0, 1] a step: 0.4 near + 0.6 press, where near is 1 - tanh(5 d) of
+    0.02 rad noise per joint.
+Shaped reward, in [0, 1] per step: 0.4 near + 0.6 press, where near is 1 - tanh(5 d) of
     the distance d [m] from the tool to the button's top, and press rises linearly
     over the first 10 mm.
 """
@@ -29,9 +29,9 @@ Array = np.ndarray
 DOWN = 0.010
 """Success depth [m] of the button."""
 LOW, HIGH = np.array([-0.12, -0.12, 0.8]), np.array([0.12, 0.12, 0.8])
-"""Corners [m] of the square on the table in which the button stands."""
+"""Corners [m] of the square on the table in which the button is placed."""
 TOP = np.array([0.0, 0.0, 0.015])
-"""The button's top, from its centre [m]."""
+"""Position [m] of the button's top relative to its centre."""
 
 MJCF = """
 <body name="socket" pos="0 0 0.8">
@@ -122,7 +122,7 @@ class Press(Task):
         return {"near": m["distance"] < 0.08, "press": self.success(m)}
 
     def expert(self, m: Measures) -> Array:
-        """Over the button, then down on it with closed fingers."""
+        """Move over the button, then down onto it with closed fingers."""
         action = np.zeros((len(m["distance"]), 7))
         action[:, :3] = np.clip(20 * m["to_button"], -1, 1)
         aside = np.linalg.norm(m["to_button"][:, :2], axis=1) > 0.02

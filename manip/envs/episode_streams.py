@@ -78,6 +78,12 @@ def episode_seed(
     return np.random.SeedSequence(seed, spawn_key=(purpose, env_id, episode))
 
 
+def build_seed(seed: int, purpose: int, env_id: int) -> int:
+    """What an environment samples once, when it is built: a seed below 2^32."""
+    sequence = np.random.SeedSequence(seed, spawn_key=(purpose, env_id))
+    return int(sequence.generate_state(1)[0])
+
+
 def check_seed(seed: object) -> int:
     """The seed as an int.
 

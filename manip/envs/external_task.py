@@ -147,8 +147,8 @@ def load_external(name: str) -> ExternalTask:
     library, _, environment = name.partition("/")
     if library not in LIBRARIES:
         raise UserError(
-            f"task {shown(name)}: {unknown('library', library, LIBRARIES)}; a task is a "
-            "name (see `manip list`), package.module:Class for a class of your own, or "
-            "library/name"
+            f"task {shown(name)}: {unknown('library', library, LIBRARIES)}; a task is "
+            "a name (see `manip list`), package.module:Class for a class of your own, "
+            "or library/name"
         )
     return LIBRARIES[library](environment)

@@ -14,8 +14,9 @@ from manip.envs.episode_streams import TRAINING, Purpose, check_purpose, check_s
 from manip.envs.faults import Fault, non_finite
 from manip.envs.measure_cache import MeasureCache
 from manip.envs.option_checks import state_array
+from manip.envs.reward_range import RewardRange
 from manip.envs.task import Measures, Task
-from manip.envs.task_check import check_task
+from manip.envs.task_check import check_memory, check_task
 from manip.envs.task_errors import blamed, exits_blamed
 from manip.envs.task_outputs import OutputForm, TaskOutputs, evaluate
 from manip.envs.time_step import TimeStep
@@ -102,6 +103,7 @@ class TaskBatch(ABC):
         self.reward_names = tuple(self.reward_weights)
         self.observation_spec = vector_spec(outputs.parts, task.proprioception)
         self._form = OutputForm(task, outputs)
+        self._range = RewardRange(task, reward == "shaped" and not reward_weights)
         self._last_observation = np.zeros(
             (num_envs, self.observation_spec.dim), np.float32
         )
@@ -164,23 +166,6 @@ class TaskBatch(ABC):
         self.seed = check_seed(self.seed if seed is None else seed)
         self.episode[:] = episode - 1
         self._begun[:] = False
-
-    @property
-    def layout(self) -> dict[str, slice]:
-        """Columns of the parts, until policy cards hold `observation_spec`."""
-        return self.observation_spec.slices
-
-    def check_layout(self, layout: Mapping[str, Sequence[int]]) -> None:
-        """Compare the columns with a policy's, until cards hold `observation_spec`."""
-        own = {n: [part.start, part.stop] for n, part in self.layout.items()}
-        other = {name: list(part) for name, part in layout.items()}
-        if own != other:
-            both = own.keys() | other.keys()
-            parts = sorted(name for name in both if own.get(name) != other.get(name))
-            raise UserError(
-                f"the policy was trained on another observation than {self.task.name} "
-                f"shows: {', '.join(parts)} differ"
-            )
 
     def begin(self, env_ids: Array) -> None:
         """Start the next episode in the given environments [n] int."""
@@ -249,6 +234,7 @@ class TaskBatch(ABC):
     def _update_memory(self, env_ids: Array) -> None:
         if self.task.sensors.memory and len(env_ids):
             memory = self.task.update_memory(self._cache.get())
+            check_memory(self.task, memory, self.num_envs)
             self._keep(
                 env_ids, {name: values[env_ids] for name, values in memory.items()}
             )
@@ -257,9 +243,11 @@ class TaskBatch(ABC):
         outputs = evaluate(self.task, self._cache.get(), self.reward_set)
         self._form.check(outputs)
         terminated = outputs.failure
+        reward = weighted_sum(outputs.terms, self.reward_weights)
+        self._range.check(reward)
         time_step = TimeStep(
             observation=self.observation_spec.join(outputs.parts),
-            reward=weighted_sum(outputs.terms, self.reward_weights),
+            reward=reward,
             reward_terms=outputs.terms,
             success=outputs.success,
             milestones=outputs.milestones,

@@ -10,15 +10,13 @@ from typing import Any
 import numpy as np
 
 from manip.envs.episode_streams import EpisodeStreams
+from manip.envs.reward_range import ROUNDING
 from manip.envs.task import Measures, Start, Task
 from manip.errors import UserError, at_least, unknown
 from manip.rewards.compose import check_weight
 from manip.sim.scene import Scene
 
 Array = np.ndarray
-
-ROUNDING = 1e-6
-"""Sums of weights may exceed 1 by this much."""
 
 
 def check_task(task: Task, read: Measures, num_envs: int) -> None:
@@ -36,7 +34,7 @@ def check_task(task: Task, read: Measures, num_envs: int) -> None:
         _check_rewards(task, reward, m, num_envs)
     for where, method in (("success()", task.success), ("failure()", task.failure)):
         _check_flags(f"{_of(task)} {where}", _call(task, where, m, method), num_envs)
-    _check_memory(
+    check_memory(
         task, _call_named(task, "update_memory()", m, task.update_memory), num_envs
     )
     milestones = _call_named(task, "milestones()", m, task.milestones)
@@ -125,7 +123,12 @@ def _check_rewards(task: Task, reward: str, m: Measures, num_envs: int) -> None:
         _check_numbers(f"{_of(task)} {where} term {name!r}", term, (num_envs,))
 
 
-def _check_memory(task: Task, memory: Mapping[str, Any], num_envs: int) -> None:
+def check_memory(task: Task, memory: Mapping[str, Any], num_envs: int) -> None:
+    """Compare what `update_memory` returns with `sensors.memory`, name -> k.
+
+    Raises:
+        UserError: names or shapes [N, k] differ.
+    """
     where, sizes = f"{_of(task)} update_memory()", task.sensors.memory
     _check_names(where, memory, "sensors.memory", sizes)
     for name, values in memory.items():

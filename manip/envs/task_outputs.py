@@ -63,7 +63,7 @@ class OutputForm:
         if list(outputs.parts) != self._order:
             raise UserError(
                 f"task {self._task.name!r}: observe() gave its parts in the order "
-                f"{', '.join(self._order)} when the environments were built, and now "
+                f"{', '.join(self._order)} at first, and now "
                 f"{', '.join(outputs.parts)}"
             )
 
@@ -72,8 +72,8 @@ class OutputForm:
             if expected.get(name) != given.get(name):
                 raise UserError(
                     f"task {self._task.name!r}: {where} {name!r} was "
-                    f"{_words(expected.get(name))} when the environments were built, "
-                    f"and is now {_words(given.get(name))}"
+                    f"{_words(expected.get(name))} at first, and is "
+                    f"now {_words(given.get(name))}"
                 )
 
 
@@ -82,8 +82,8 @@ def _forms(outputs: TaskOutputs) -> dict[str, Form]:
     return {
         "observe() part": _form(outputs.parts),
         "reward term": _form(outputs.terms),
-        "milestone": _form(outputs.milestones),
         "result of": _form(flags),
+        "milestone": _form(outputs.milestones),
     }
 
 

@@ -1,4 +1,4 @@
-"""Captions over frames, and animation files."""
+"""Draw captions over frames, and write animation files."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import closing
@@ -21,7 +21,7 @@ _GIF_COLOURS = 128
 
 @dataclass(frozen=True)
 class Caption:
-    """Text over a frame, one or more short lines; a success is framed in green."""
+    """Text over a frame, one or more short lines; a green border marks a success."""
 
     text: str
     success: bool = False
@@ -39,9 +39,15 @@ def draw_caption(frame: np.ndarray, caption: Caption) -> np.ndarray:
 
 
 def save_animation(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
-    """Write frames, uint8 [H, W, 3], to an .mp4 or .gif file; it appears when complete.
+    """Write frames, uint8 [H, W, 3], to an .mp4 or .gif file.
 
-    Frames are taken one at a time, and none is taken if the suffix is not supported.
+    The file appears when it is complete. Frames are taken one at a time, none before
+    the suffix is checked.
+
+    Args:
+        path: the file.
+        frames: the frames, all of one size.
+        fps: frames per second.
 
     Raises:
         UserError: the suffix is not supported, or there are no frames.
@@ -78,7 +84,7 @@ def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 def _write_mp4(
     path: Path, first: np.ndarray, rest: Iterator[np.ndarray], fps: float
 ) -> None:
-    """Encode H.264 that browsers play while it loads; odd sizes are scaled to even."""
+    """Encode H.264 that browsers play while loading; odd sizes become even."""
     height, width, _ = first.shape
     encoder = imageio_ffmpeg.write_frames(
         str(path),
@@ -105,7 +111,7 @@ def _write_gif(
 
 
 def _few_colours(frame: np.ndarray) -> Image.Image:
-    """Reduce the colours by octree: the median cut greys out small bright objects."""
+    """Reduce the colours by octree; a median cut would lose small bright objects."""
     return Image.fromarray(frame).quantize(_GIF_COLOURS, Image.Quantize.FASTOCTREE)
 
 

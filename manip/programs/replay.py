@@ -20,7 +20,6 @@ from manip.io.tensor_trees import load_tree
 from manip.programs import cli
 from manip.programs.output import console
 from manip.robot_config import RobotConfig
-from manip.sim.engine import Snapshot
 
 Motion = dict[str, tuple[float, float]]
 """Joint -> its first coordinate [m or rad] and the largest of its speeds."""
@@ -75,8 +74,9 @@ def _batch(dump: dict[str, Any], task: Task) -> NativeBatch:
     robot = RobotConfig(**dump["robot"])
     options = {name: dump[name] for name in ("fidelity", "reward", "reward_weights")}
     batch = NativeBatch(task, 1, robot=robot, threads=1, **options)
-    batch.begin(np.zeros(1, int))
-    batch.engine.restore(Snapshot(dump["state"][None], dump["readings"][None]))
+    zero = np.zeros(1, np.int64)
+    state = {"states": dump["state"][None], "readings": dump["readings"][None]}
+    batch.load_state(state | {"elapsed": zero, "episode": zero, "fault_count": 0})
     return batch
 
 

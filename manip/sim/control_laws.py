@@ -1,15 +1,20 @@
-"""robosuite's control laws, one function each, compiled.
+"""robosuite's control laws, one compiled function each.
 
-Symbols, in the frame of the world unless said: p [3], R [3, 3] position and rotation
-of the grip site; b, B those of the arm's base site; q, qd [n] arm joints; q0 [n] arm
-joints at the episode's start; M [n, n] arm block of the joint-space mass matrix;
-h [n] Coriolis and gravity torques; J = [Jp; Jr] [6, n] Jacobian of the grip site.
+Symbols (SI units, world frame unless stated):
+    p [3], R [3, 3]: position and rotation of the grip site
+    b [3], B [3, 3]: position and rotation of the arm's base site
+    q, qd [n]: positions and velocities of the arm's joints
+    q0 [n]: q at the start of the episode
+    M [n, n]: the arm's block of the joint-space mass matrix
+    h [n]: Coriolis and gravity torques
+    J = [Jp; Jr] [6, n]: Jacobian of the grip site
+
 Sources: robosuite 1.5.2, controllers/parts/arm/osc.py, parts/generic/joint_pos.py,
 utils/control_utils.py; Khatib, "A unified approach for motion and force control of
-robot manipulators", 1987.
+robot manipulators", IEEE J. Robotics and Automation, 1987.
 
-Fields of `Work` know their sizes; `[:]` forgets them, so that one compiled version of
-`factor` and `solve` serves all.
+numba compiles a function for each size of a record's array. A slice `[:]` of it has no
+fixed size, so that one compiled version of `factor` and `solve` serves all arrays.
 """
 
 from math import cos, sin, sqrt
@@ -22,20 +27,20 @@ from manip.compiled import kernel
 Array = np.ndarray
 
 Work = Any
-"""A record that `new_work` makes: one pointer to numba, however many its fields."""
+"""A record from `new_work`; numba passes it as one pointer, whatever it holds."""
 
 NULL_KP = 10.0
 """Null-space stiffness towards q0 [1/s^2] (control_utils.nullspace_torques)."""
 
 
 def new_work(n: int) -> Work:
-    """What the control laws of an arm with n joints read and write.
+    """Build the record that the control laws of an arm with n joints read and write.
 
-    q, qd, q0, mass (M), bias (h), jac (J): as above. tool_p, tool_r: p, R; base_p,
-    base_r: b, B. velocity [6]: of the tool, less that of the base site. goal_p, goal_r:
-    of the tool in the base frame; goal_q: of the joints. force [3], moment [3]: asked
-    of the tool; joint_acc [n]: desired acceleration of the joints.
-    torque [n]: the result.
+    Input: q, qd, q0, mass (M), bias (h), jac (J), tool_p (p), tool_r (R), base_p (b),
+    base_r (B); velocity [6], the tool's less the base site's.
+    Goals: goal_p [3], goal_r [3, 3] of the tool in the base frame; goal_q [n].
+    Desired: force [3], moment [3] of the tool; joint_acc [n] of the joints.
+    Result: torque [n]. The other members hold intermediate results.
     """
     fields = [
         ("q", float, n), ("qd", float, n), ("q0", float, n),
@@ -54,7 +59,7 @@ def new_work(n: int) -> Work:
 
 @kernel
 def factor(a: Array) -> None:
-    """Overwrite the lower triangle of a [n, n] by its Cholesky factor."""
+    """Overwrite the lower triangle of a [n, n] with L of its Cholesky factors L L^T."""
     n = len(a)
     for j in range(n):
         for k in range(j):
@@ -67,7 +72,7 @@ def factor(a: Array) -> None:
 
 @kernel
 def forward_solve(lower: Array, x: Array) -> None:
-    """Overwrite x [n] by L^-1 x, L the lower triangle of `lower`, its first n rows."""
+    """Overwrite x [n] with L^-1 x; L is the lower triangle of `lower[:n, :n]`."""
     for i in range(len(x)):
         for k in range(i):
             x[i] -= lower[i, k] * x[k]
@@ -76,7 +81,7 @@ def forward_solve(lower: Array, x: Array) -> None:
 
 @kernel
 def solve(lower: Array, x: Array) -> None:
-    """Overwrite x [n] by (L L^T)^-1 x."""
+    """Overwrite x [n] with (L L^T)^-1 x."""
     n = len(x)
     forward_solve(lower, x)
     for i in range(n - 1, -1, -1):
@@ -95,17 +100,19 @@ def multiply(a: Array, b: Array, out: Array) -> None:
 
 @kernel
 def rotation_from_vector(vector: Array, out: Array) -> None:
-    """Rotation matrix of a rotation vector [rad], rounded as robosuite rounds it.
+    """Rotation matrix of a rotation vector [rad], rounded as in robosuite.
 
-    robosuite goes through a quaternion in float32 (transform_utils.quat2mat); the
-    rounding is repeated here so that goals agree to the last bit it leaves.
+    robosuite computes it from a float32 quaternion (transform_utils.quat2mat). The same
+    rounding here makes goals equal to robosuite's in every bit.
     """
     x, y, z = vector[0], vector[1], vector[2]
     angle = sqrt(x**2 + y**2 + z**2)
     length = angle if angle > 0.0 else 1.0
+    # quaternion (a, b, c, d) = (cos(angle / 2), axis * sin(angle / 2))
     a, half = np.float32(cos(angle / 2.0)), sin(angle / 2.0)
     b, c = np.float32(x / length * half), np.float32(y / length * half)
     d = np.float32(z / length * half)
+    # scaled by sqrt(2) / norm, products of two entries need no factor 2
     root = sqrt(2.0 / (a * a + b * b + c * c + d * d))
     a, b = np.float32(a * root), np.float32(b * root)
     c, d = np.float32(c * root), np.float32(d * root)
@@ -116,11 +123,12 @@ def rotation_from_vector(vector: Array, out: Array) -> None:
 
 @kernel
 def latch_pose_goal(action: Array, scale: Array, w: Work) -> None:
-    """Pose goal in the base frame: B^T (p - b) + dx and Rot(turn) B^T R.
+    """Set the pose goal in the base frame: B^T (p - b) + dx and Rot(turn) B^T R.
 
-    dx [m] and turn [rad] are the first and next three of `action` (clipped to [-1, 1])
-    times `scale`; "achieved" goals start from where the tool is. A scale [3] has no
-    turns (OSC_POSITION): the tool is to keep the rotation that it has now.
+    dx [m] and turn [rad] are the first and the next three numbers of `action`, clipped
+    to [-1, 1], times `scale`. They are relative to the present pose (robosuite's goal
+    update mode "achieved"). A scale [3] has no turn (OSC_POSITION): the goal keeps the
+    present rotation.
     """
     turns = len(scale) == 6
     for i in range(3):
@@ -137,7 +145,7 @@ def latch_pose_goal(action: Array, scale: Array, w: Work) -> None:
 
 @kernel
 def pose_error(kp: float, kd: float, w: Work) -> None:
-    """Desired force [3] and moment [3] of the tool: kp * error - kd * velocity.
+    """Set the tool's desired force and moment: kp * error - kd * velocity.
 
     The rotation error is 0.5 * sum_k R[:, k] x R*[:, k] = sin(angle) * axis.
     """
@@ -156,7 +164,7 @@ def pose_error(kp: float, kd: float, w: Work) -> None:
 
 @kernel
 def joint_torque(w: Work) -> None:
-    """tau = M u + h, u = `joint_acc` [n] the acceleration asked of the joints."""
+    """Set tau = M u + h, where u = `joint_acc` [n] is the desired acceleration."""
     n = len(w.q)
     for i in range(n):
         w.torque[i] = w.bias[i]
@@ -166,21 +174,22 @@ def joint_torque(w: Work) -> None:
 
 @kernel
 def osc_torque(w: Work) -> None:
-    """tau = Jp^T Lp f + Jr^T Lr t + h + M u - J^T L J u.
+    """Set tau = Jp^T Lp f + Jr^T Lr t + h + M u - J^T L J u.
 
-    L = (J M^-1 J^T)^-1, Lp and Lr the same of the linear and angular blocks alone
-    (uncoupled), f = `force`, t = `moment`, u = `joint_acc` the null-space acceleration.
+    L = (J M^-1 J^T)^-1 [6, 6] is the tool's inertia; Lp and Lr are those of the linear
+    and the angular block alone (robosuite's "uncoupling"). f = `force`, t = `moment`,
+    u = `joint_acc`, the null-space acceleration.
     """
     n = len(w.q)
     joint_torque(w)
     factor_inertias(w)
-    for i in range(6):
+    for i in range(6):  # task = J u
         w.task[i] = 0.0
         for k in range(n):
             w.task[i] += w.jac[i, k] * w.joint_acc[k]
-    solve(w.inertia[:], w.task[:])
-    solve(w.inertia[:], w.force[:])
-    solve(w.angular[:], w.moment[:])
+    solve(w.inertia[:], w.task[:])  # L J u
+    solve(w.inertia[:], w.force[:])  # Lp f, with the leading 3 rows of the factor
+    solve(w.angular[:], w.moment[:])  # Lr t
     for k in range(n):
         for i in range(3):
             w.torque[k] += w.jac[i, k] * (w.force[i] - w.task[i])
@@ -189,9 +198,10 @@ def osc_torque(w: Work) -> None:
 
 @kernel
 def factor_inertias(w: Work) -> None:
-    """Cholesky factors of J M^-1 J^T [6, 6] and of its angular block.
+    """Compute the Cholesky factors of J M^-1 J^T [6, 6] and of its angular block.
 
-    That of the linear block is the corner of the whole's.
+    The factor of the linear block is the leading corner of the whole factor. With
+    M = C C^T and X = C^-1 J^T, J M^-1 J^T = X^T X.
     """
     n = len(w.q)
     for i in range(n):

@@ -1,7 +1,7 @@
-"""Which OpenGL backend draws on this machine, and how to make mujoco use it.
+"""Find an OpenGL backend that draws on this machine, and make mujoco use it.
 
-A broken backend can crash a process, and mujoco binds one when it is imported. So
-each is tried in a child process, and this module never imports mujoco itself.
+mujoco reads MUJOCO_GL when it is imported. A broken backend can crash a process, so
+each one is tried in a child process.
 """
 
 import importlib
@@ -9,9 +9,12 @@ import os
 import platform
 import subprocess
 import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 
-from manip.errors import UserError
+from manip.errors import UserError, one_line
 
 CANDIDATES = {"Linux": ("egl", "osmesa"), "Darwin": ("cgl",), "Windows": ("wgl",)}
 """Values of MUJOCO_GL that draw without a window, best first, by operating system."""
@@ -37,20 +40,51 @@ with mujoco.Renderer(model, 16, 16) as renderer:
 """
 
 
+@contextmanager
+def keep_mujoco_gl(value: str | None = None) -> Iterator[None]:
+    """Put MUJOCO_GL back after the `with` block; set it to a value for the block."""
+    before = os.environ.get("MUJOCO_GL")
+    if value is not None:
+        os.environ["MUJOCO_GL"] = value
+    try:
+        yield
+    finally:
+        os.environ.pop("MUJOCO_GL", None)
+        if before is not None:
+            os.environ["MUJOCO_GL"] = before
+
+
+def import_mujoco() -> None:
+    """Import mujoco, without OpenGL and with a warning if MUJOCO_GL keeps it from it.
+
+    `use_backend` chooses another backend then. Errors that have another cause come
+    again with the next import of mujoco.
+    """
+    try:
+        importlib.import_module("mujoco")
+    except Exception as error:
+        with keep_mujoco_gl("off"), suppress(Exception):
+            importlib.import_module("mujoco")
+        warnings.warn(
+            f"MUJOCO_GL={os.environ['MUJOCO_GL']} is not used: {one_line(error)}",
+            stacklevel=3,
+        )
+
+
 @cache
 def find_backend() -> str | None:
     """Return the first backend that draws: the one in MUJOCO_GL, then `CANDIDATES`.
 
-    The answer is kept for the life of the process. Returns None if nothing draws.
+    None if none draws. Each process searches once.
     """
-    asked = os.environ.get("MUJOCO_GL", "").strip().lower()
+    chosen = os.environ.get("MUJOCO_GL", "").strip().lower()
     usual = CANDIDATES.get(platform.system(), ())
-    names = dict.fromkeys((asked, *usual) if asked else usual)
+    names = dict.fromkeys((chosen, *usual) if chosen else usual)
     return next(filter(_draws, names), None)
 
 
 def use_backend() -> str:
-    """Make mujoco draw with `find_backend()`, whatever it was imported with.
+    """Make mujoco draw with `find_backend()`, also if it was imported with another.
 
     Sets MUJOCO_GL and PYOPENGL_PLATFORM. Call it before the first renderer.
 
@@ -84,7 +118,7 @@ def _settings(backend: str) -> dict[str, str]:
 
 
 def _bind_again() -> None:
-    """Let an imported mujoco read MUJOCO_GL anew; its Renderer looks it up late."""
+    """Let an imported mujoco read MUJOCO_GL again; its Renderer looks it up late."""
     binding = sys.modules.get(_BINDING)
     if binding is not None:
         importlib.reload(binding)

@@ -1,9 +1,10 @@
-"""Pictures of recorded states: frames, captions, and animation files.
+"""Draw recorded states, with captions.
 
-States are drawn after the fact, so nothing that simulates ever holds a GL context.
+States are drawn afterwards, so that no simulation holds an OpenGL context.
 """
 
 from collections.abc import Generator, Iterable, Sequence
+from contextlib import closing
 from copy import copy
 
 import mujoco
@@ -11,23 +12,24 @@ import numpy as np
 
 from manip.errors import unknown
 from manip.io.video import Caption, draw_caption
+from manip.sim.drawer import Drawer
 from manip.sim.gl import use_backend
 
 WORKSPACE = "workspace"
-"""Camera added to the model's own: the whole arm and the table top, from its left."""
+"""An additional camera: the whole arm and the table top, from the arm's left."""
 
-_VISUAL_GROUP = 1  # robosuite: 0 collision, 1 visual, 2 targets of the mouse
+_VISUAL_GROUP = 1  # robosuite's groups: 0 collision, 1 visual, 2 mouse targets
 
 
 def camera_names(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Return the cameras `render_frames` can draw from: workspace, then the model's."""
+    """Names of the cameras for `render_frames`: workspace, then the model's own."""
     return WORKSPACE, *(model.camera(index).name for index in range(model.ncam))
 
 
 def hide_decorations(model: mujoco.MjModel) -> None:
-    """Hide robosuite's markers in place: every site but those with "goal" in the name.
+    """Hide the model's sites, in place, except those with "goal" in the name.
 
-    robosuite hides a site by a negative alpha; a goal gets its positive alpha back.
+    robosuite marks a hidden site by a negative alpha: a goal gets a positive one.
     """
     for index in range(model.nsite):
         shown = "goal" in model.site(index).name
@@ -42,11 +44,17 @@ def render_frames(
     height: int = 480,
     captions: Sequence[Caption] | None = None,
 ) -> Generator[np.ndarray, None, None]:
-    """Draw T states [nq], giving T frames: uint8 [height, width, 3], in RGB.
+    """Draw T states [nq] as T frames, uint8 [height, width, 3], RGB.
 
-    The model is robosuite's full one; it is copied as it is now and left unchanged.
-    Where an episode moves bodies or sites of the model, draw each episode by itself.
-    Captions, where given, are one a state.
+    The model is robosuite's full one; it is copied when this is called. Where episodes
+    set fields of the model, draw each episode with its own model.
+
+    Args:
+        model: the model.
+        states: qpos [nq] of each frame.
+        camera: one of `camera_names(model)`.
+        width, height: of a frame [pixels].
+        captions: one for each state.
 
     Raises:
         UserError: the camera does not exist, or no OpenGL backend works here.
@@ -72,7 +80,7 @@ def _view(model: mujoco.MjModel, camera: str) -> mujoco.MjvCamera:
 
 
 def _workspace_view() -> mujoco.MjvCamera:
-    """Place a camera for a robosuite table at (0, 0, 0.8) m and a base at x = -0.56."""
+    """A camera for robosuite's table at (0, 0, 0.8) m and a base at x = -0.56 m."""
     view = mujoco.MjvCamera()
     view.lookat[:] = (-0.16, 0.0, 1.08)
     view.distance, view.azimuth, view.elevation = 1.45, 225.0, -18.0
@@ -97,12 +105,10 @@ def _draw(
 ) -> Generator[np.ndarray, None, None]:
     data = mujoco.MjData(model)
     options = _visual_only()
-    with mujoco.Renderer(model, height, width) as renderer:
-        _skip_reflections(renderer)
+    with closing(Drawer(model, height, width)) as drawer:
         for state in states:
             _pose(model, data, state)
-            renderer.update_scene(data, view, options)
-            yield renderer.render()
+            yield drawer.draw(data, view, options)
 
 
 def _visual_only() -> mujoco.MjvOption:
@@ -110,11 +116,6 @@ def _visual_only() -> mujoco.MjvOption:
     options.geomgroup[:] = 0
     options.geomgroup[_VISUAL_GROUP] = 1
     return options
-
-
-def _skip_reflections(renderer: mujoco.Renderer) -> None:
-    """robosuite's floor reflects 1 %: unseen, yet a quarter of the drawing time."""
-    renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
 
 
 def _pose(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> None:

@@ -4,38 +4,29 @@ The only module that imports robosuite. The batch engine compiles its scenes fro
 environments, and is tested against them.
 """
 
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
-from manip.errors import check_choice
+from manip.compiled import fallback_cache
+from manip.errors import UserError, check_choice, one_line
 from manip.robot_config import RobotConfig, check_robot_config
+from manip.sim.gl import keep_mujoco_gl
 from manip.sim.robosuite_log import quiet, quiet_robosuite
 
-
-@contextmanager
-def _gl_variable_kept() -> Iterator[None]:
-    """Undo what robosuite does to MUJOCO_GL on import: manip.sim.gl chooses it."""
-    before = os.environ.get("MUJOCO_GL")
-    try:
-        yield
-    finally:
-        os.environ.pop("MUJOCO_GL", None)
-        if before is not None:
-            os.environ["MUJOCO_GL"] = before
-
-
-with quiet(), _gl_variable_kept():
-    import robosuite
-    from robosuite.controllers import load_part_controller_config
-    from robosuite.controllers.composite.composite_controller_factory import (
-        refactor_composite_controller_config,
-    )
-    from robosuite.environments.base import REGISTERED_ENVS
-    from robosuite.environments.manipulation.two_arm_env import TwoArmEnv
+# On import robosuite warns of optional packages, sets MUJOCO_GL, fails where numba
+# cannot store compiled functions, and asserts that it may use MUJOCO_EGL_DEVICE_ID.
+try:
+    with quiet(), keep_mujoco_gl(), fallback_cache("robosuite"):
+        import robosuite
+        from robosuite.controllers import load_part_controller_config
+        from robosuite.controllers.composite.composite_controller_factory import (
+            refactor_composite_controller_config,
+        )
+        from robosuite.environments.base import REGISTERED_ENVS
+        from robosuite.environments.manipulation.two_arm_env import TwoArmEnv
+except AssertionError as error:
+    raise UserError(f"robosuite cannot be imported: {one_line(error)}") from error
 
 __all__ = [
     "PANDA",

@@ -1,4 +1,4 @@
-"""The log of robosuite: quiet for a while, or for the life of a program."""
+"""Let other libraries log errors only: for a while, or in a whole program."""
 
 import logging
 from collections.abc import Iterator
@@ -11,14 +11,14 @@ _LOGGER = "robosuite_logs"
 def quiet_robosuite() -> None:
     """Let robosuite log errors only, in this process, from now on.
 
-    For programs: a library leaves the log of its user's process as it is.
+    For programs only: a library must not change the logs of its user.
     """
     logging.getLogger(_LOGGER).addFilter(_is_error)
 
 
 @contextmanager
 def quiet(logger: str = _LOGGER) -> Iterator[None]:
-    """Let a logger pass errors only while the `with` block runs."""
+    """Let a logger (robosuite's by default) pass errors only, in a `with` block."""
     log = logging.getLogger(logger)
 
     def block(record: logging.LogRecord) -> bool:

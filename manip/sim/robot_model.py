@@ -1,4 +1,4 @@
-"""Indices and gains of a robot, read off its robosuite environment."""
+"""Read the indices and gains of a robot from its robosuite environment."""
 
 from typing import Any, NamedTuple
 
@@ -10,16 +10,24 @@ from manip.sim.names import lookup
 Array = np.ndarray
 
 NARROWEST = {"Robotiq85Gripper": 0.052}
-"""Gap [m] between the pads of a shut gripper, where that is too wide for small things:
-the links of its fingers collide before (measured, 51 to 56 mm)."""
+"""Gap [m] between the pads of a shut gripper, where the fingers' links collide before
+the pads touch (measured, 51 to 56 mm)."""
 
 
 class Arm(NamedTuple):
-    """The arm's indices and gains, as the compiled control laws need them.
+    """The arm's indices and gains for the compiled control laws.
 
-    osc: whether the action moves the tool or the joints. scale [m or rad]: what a full
-    action moves: [6] for OSC_POSE, [3] for OSC_POSITION, [n] for JOINT_POSITION. `mass`
-    [n, n] holds the address of each entry of the arm's mass matrix in `MjData.M`.
+    Attributes:
+        osc: whether an action moves the tool (else the joints).
+        qpos, dof, actuator: [n] indices of the joints and motors.
+        low, high: [n] N m, the motors' limits.
+        mass: [n, n], index in `MjData.M` of each entry of the arm's mass matrix.
+        scale: m or rad, the motion that an action of 1 commands: [6] for OSC_POSE, [3]
+            for OSC_POSITION, [n] for JOINT_POSITION.
+        kp, kd: gains [1/s^2], [1/s] of the controller.
+        tool, base: grip site and base site.
+        root: root body of the arm, about which MuJoCo states its joint axes.
+        moves_base: [n] bool, whether the joint also moves the base site.
     """
 
     osc: bool
@@ -39,9 +47,9 @@ class Arm(NamedTuple):
 
 
 class Gripper(NamedTuple):
-    """The gripper law: command += speed * sign(a), clipped to [-1, 1], then affine.
+    """The gripper's law: command += speed * sign(action), clipped to [-1, 1].
 
-    ctrl[actuator] = bias + weight * command; all arrays have one entry an actuator.
+    ctrl[actuator] = bias + weight * command; arrays have one entry for each actuator.
     """
 
     actuator: Array
@@ -56,7 +64,7 @@ def hand_kind(stock: Any) -> str:
 
 
 def read_arm(stock: Any) -> Arm:
-    """The arm of a robosuite environment's first robot."""
+    """Read the arm of a robosuite environment's first robot."""
     model = stock.sim.model._model
     part = stock.robots[0].part_controllers["right"]
     robot = stock.robots[0]
@@ -84,16 +92,16 @@ def read_arm(stock: Any) -> Arm:
 
 def _dofs_above(model: mujoco.MjModel, body: int) -> list[int]:
     """Degrees of freedom that move a body."""
-    found: list[int] = []
+    dofs: list[int] = []
     while body > 0:
         start = model.body_dofadr[body]
-        found += range(start, start + model.body_dofnum[body])
+        dofs += range(start, start + model.body_dofnum[body])
         body = model.body_parentid[body]
-    return found
+    return dofs
 
 
 def _mass_addresses(model: mujoco.MjModel, dof: Array) -> Array:
-    """Address in MjData.M (lower triangle, sparse rows) of M[dof[i], dof[j]]."""
+    """Index in MjData.M (lower triangle, sparse rows) of M[dof[i], dof[j]]."""
     table = np.full((model.nv, model.nv), -1)
     for row in range(model.nv):
         start = model.M_rowadr[row]
@@ -103,20 +111,20 @@ def _mass_addresses(model: mujoco.MjModel, dof: Array) -> Array:
 
 
 def read_gripper(stock: Any) -> Gripper:
-    """Read the gripper's law off robosuite's object by trying it: close once from 0."""
+    """Measure the gripper's law on robosuite's object: close once from command 0."""
     robot = stock.robots[0]
     hand = robot.gripper["right"]
     actuator = np.array(robot._ref_joint_gripper_actuator_indexes["right"], dtype=int)
     low, high = stock.sim.model._model.actuator_ctrlrange[actuator].T
-    kept = hand.current_action
+    before = hand.current_action
     hand.current_action = np.zeros(hand.dof)
     speed = np.broadcast_to(hand.format_action(np.ones(1)), actuator.shape).copy()
-    hand.current_action = kept
+    hand.current_action = before
     return Gripper(actuator, speed, (high + low) / 2, (high - low) / 2)
 
 
 def default_qpos(stock: Any) -> Array:
-    """The pose [nq] before a reset's randomisation."""
+    """The pose [nq] that robosuite's reset randomises."""
     robot = stock.robots[0]
     qpos = stock.sim.model._model.qpos0.copy()
     qpos[np.array(robot._ref_joint_pos_indexes)] = robot.init_qpos
@@ -127,6 +135,6 @@ def default_qpos(stock: Any) -> Array:
 
 
 def finger_indices(robot: Any, kind: str) -> Array:
-    """Entries of qpos (kind "pos") or qvel ("vel") of the finger joints."""
+    """Indices of the finger joints in qpos (kind "pos") or qvel ("vel")."""
     indices = getattr(robot, f"_ref_gripper_joint_{kind}_indexes")["right"]
     return np.array(indices, dtype=int)

@@ -1,4 +1,4 @@
-"""Where named readings and model fields lie in the arrays of MuJoCo."""
+"""Slots: where named readings lie in the arrays of MuJoCo."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -11,7 +11,7 @@ from manip.sim.sensors import Sensors
 
 
 class Slot(NamedTuple):
-    """A named run of entries in an array of MjData or MjModel."""
+    """A named range of entries in a flattened array of MjData or MjModel."""
 
     name: str
     array: str
@@ -20,7 +20,7 @@ class Slot(NamedTuple):
 
 
 def robot_slots(stock: Any) -> tuple[Slot, ...]:
-    """The arm's readings that need no indexing: whole state, tool pose, hand body."""
+    """Slots of every task: whole state, pose of the grip site, rotation of the hand."""
     model, robot = stock.sim.model._model, stock.robots[0]
     tool = lookup(model, "site", robot.gripper["right"].important_sites["grip_site"])
     hand = lookup(model, "body", robot.robot_model.eef_name["right"])
@@ -62,7 +62,7 @@ def _body_slots(model: mujoco.MjModel, name: str, body: int) -> list[Slot]:
 
 
 def force_slots(model: mujoco.MjModel, forces: Mapping[str, str]) -> tuple[Slot, ...]:
-    """Where a model with sensors for them keeps the forces at some sites."""
+    """Slots of the force sensors, name -> site; each site has one in the model."""
     of_kind = model.sensor_type == mujoco.mjtSensor.mjSENS_FORCE
     slots = []
     for name, site in forces.items():

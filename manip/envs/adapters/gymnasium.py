@@ -29,7 +29,6 @@ Of `gymnasium.make`, and `make_vec(..., vectorization_mode="sync" | "async")`, o
     render_mode       "rgb_array" to render
 """
 
-import atexit
 import warnings
 from collections.abc import Generator, Iterator, Mapping
 from typing import Any
@@ -175,13 +174,11 @@ class TaskEnv(gymnasium.Env):
             return None
         if self._frames is None:
             self._frames = render_frames(self.batch.visual_model(0), _poses(self.batch))
-            atexit.register(self._frames.close)  # before OpenGL itself ends
         return next(self._frames)
 
     def close(self) -> None:
         """Close the renderer."""
         if self._frames:
-            atexit.unregister(self._frames.close)
             self._frames.close()
             self._frames = None
 

@@ -7,7 +7,12 @@ import numpy as np
 
 from manip.cpus import usable_cpus
 from manip.envs.backends.worker_pool import WorkerPool
-from manip.envs.episode_streams import check_purpose, check_seed, episode_seed
+from manip.envs.episode_streams import (
+    build_seed,
+    check_purpose,
+    check_seed,
+    episode_seed,
+)
 from manip.envs.external_task import EARNED, ExternalTask
 from manip.envs.task import Measures
 from manip.envs.task_batch import EpisodeOptions, TaskBatch
@@ -150,6 +155,10 @@ class ExternalBatch(NotCopied, TaskBatch):
             for env_id, taken in enumerate(actions)
         }
         results = self._pool.call("repeat", calls)
+        if diverged := [env_id for env_id, step in results.items() if step is None]:
+            raise UserError(
+                f"the saved actions of environment {diverged[0]} end in divergence"
+            )
         self._steps = [results[env_id] for env_id in range(self.num_envs)]
 
     def _checked(self, actions: Any) -> Array:
@@ -173,8 +182,7 @@ def _open(
     env_id: int,
 ) -> ExternalSim:
     """Build the simulation of an environment; what it samples now has its own seed."""
-    key = np.random.SeedSequence(seed, spawn_key=(purpose, env_id))
-    opened: ExternalSim = task.module().open_world(
-        task.environment, robot, int(key.generate_state(1)[0]), hard_reset
+    opened: ExternalSim = task.module().open_sim(
+        task.environment, robot, build_seed(seed, purpose, env_id), hard_reset
     )
     return opened

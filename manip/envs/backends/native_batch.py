@@ -17,7 +17,7 @@ from manip.envs.task_check import check_start
 from manip.envs.task_errors import blamed
 from manip.envs.time_step import TimeStep
 from manip.errors import UserError, at_least, check_choice
-from manip.robot_config import RobotConfig
+from manip.robot_config import RobotConfig, check_robot_config
 from manip.sim.batch_engine import BatchEngine
 from manip.sim.engine import Snapshot
 from manip.sim.not_copied import DeepCopied
@@ -73,6 +73,7 @@ class NativeBatch(DeepCopied, TaskBatch):
             raise UserError(f"{task.name} is not on the batch engine")
         at_least(1, "num_envs", num_envs)
         at_least(1, "threads", 1 if threads is None else threads)
+        check_robot_config(robot)
         check_choice("fidelity", fidelity, get_args(Fidelity))
         check_share("restart_fraction", restart_fraction)
         with blamed(task):

@@ -1,4 +1,4 @@
-"""A task inside a stock robosuite environment: the same readings, one world."""
+"""StockBatch: one environment of a task, stepped by robosuite itself."""
 
 from collections.abc import Mapping
 from typing import Any, Unpack
@@ -9,6 +9,7 @@ from manip.envs.episode_streams import check_seed, episode_seed
 from manip.envs.task import Measures, Task
 from manip.envs.task_batch import EpisodeOptions, TaskBatch
 from manip.robot_config import RobotConfig
+from manip.sim.exclusive_use import ExclusiveUse
 from manip.sim.not_copied import NotCopied
 from manip.sim.robosuite_factory import PANDA, make_stock, reseed
 from manip.sim.stock_check import check_stock
@@ -18,13 +19,13 @@ Array = np.ndarray
 
 
 class StockBatch(NotCopied, TaskBatch):
-    """One world of a task, stepped by `robosuite.make(...)` itself.
+    """One environment of a task, stepped by `robosuite.make(...)` itself.
 
-    Mends what robosuite's GymWrapper gets wrong: the time limit is `truncated`,
-    success is reported, and a seed fixes the episodes (see `episode_seed`).
+    Unlike robosuite's GymWrapper it reports the time limit as `truncated`, reports
+    success, and a seed fixes the episodes (see `episode_seed`).
 
     Args:
-        task: what is to be done.
+        task: the task.
         robot: arm, controller and control frequency.
         hard_reset: rebuild the model at every reset, as robosuite does by default;
             what it samples when it builds (Lift's cube size) then varies.
@@ -53,37 +54,40 @@ class StockBatch(NotCopied, TaskBatch):
             check_stock(stock, task.robosuite_name, robot, horizon)
         self._reader = stock_reader(self.stock, task.sensors)
         self._memory = _blank(task)
+        self._exclusive = ExclusiveUse("the robosuite environment")
         action_dim = self.stock.action_dim
         super().__init__(task, 1, action_dim, **options)
 
     def read(self) -> Measures:
         """As `manip.sim.stock_reader.stock_reader`."""
-        return {**self._reader(), **self._memory}
+        with self._exclusive:
+            return {**self._reader(), **self._memory}
 
-    def visual_model(self, world: int) -> Any:
+    def visual_model(self, env_id: int) -> Any:
         """The stock environment's own model."""
         return self.stock.sim.model._model
 
-    def _start_episodes(self, worlds: Array) -> None:
-        reseed(
-            self.stock, episode_seed(self.seed, self.purpose, 0, int(self.episode[0]))
-        )
-        self.stock.reset()
+    def _start_episodes(self, env_ids: Array) -> None:
+        key = episode_seed(self.seed, self.purpose, 0, int(self.episode[0]))
+        reseed(self.stock, key)
+        with self._exclusive:
+            self.stock.reset()
         self._memory = _blank(self.task)
         if self.stock.hard_reset:
             self._reader = stock_reader(self.stock, self.task.sensors)
 
-    def _keep(self, worlds: Array, memory: Mapping[str, Array]) -> None:
-        if len(worlds):
+    def _keep(self, env_ids: Array, memory: Mapping[str, Array]) -> None:
+        if len(env_ids):
             self._memory = {**self._memory, **memory}
 
     def _move(self, action: Array) -> Array:
         broken = np.isnan(action).any(axis=1)
         if not broken[0]:
-            self.stock.step(action[0].astype(np.float64))
+            with self._exclusive:
+                self.stock.step(action[0].astype(np.float64))
         return broken
 
 
 def _blank(task: Task) -> dict[str, Array]:
-    """The memory of one world as its episode begins."""
+    """The memory of an episode that begins."""
     return {name: np.zeros((1, size)) for name, size in task.sensors.memory.items()}

@@ -1,4 +1,4 @@
-"""One world of another library, as that library steps it."""
+"""The contract of a simulation that another library steps."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -6,11 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from manip.sim.not_copied import NotCopied
+
 Array = np.ndarray
 
 
 class ExternalStep(NamedTuple):
-    """What a world shows: its observation in named parts [k], and what it earned."""
+    """What one environment returns: named observation parts [k], reward and flags."""
 
     parts: Mapping[str, Array]
     reward: float
@@ -18,11 +20,11 @@ class ExternalStep(NamedTuple):
     terminated: bool
 
 
-class ExternalSim(ABC):
-    """A world that is started from a seed, and stepped; nothing more is asked.
+class ExternalSim(NotCopied, ABC):
+    """One environment of another library, started from a seed.
 
-    The same seed and actions give the same sights, whatever the world did before: that
-    is how its state is saved and restored.
+    The same seed and actions give the same steps, whatever was simulated before: its
+    state is saved as seed and actions, and restored by repeating them.
     """
 
     @abstractmethod
@@ -31,15 +33,15 @@ class ExternalSim(ABC):
 
     @abstractmethod
     def start(self, seed: int) -> ExternalStep:
-        """Start the episode of a seed, below 2^32; its reward is 0."""
+        """Start the episode of a seed below 2^32; the reward is 0."""
 
     @abstractmethod
     def step(self, action: Array) -> ExternalStep | None:
-        """Take an action [A] in [-1, 1]; None if the physics broke."""
+        """Take an action [A] in [-1, 1]; None if the physics became unstable."""
 
     def repeat(self, seed: int, actions: Array) -> ExternalStep | None:
-        """Start the episode of a seed and take actions [T, A]."""
-        sight: ExternalStep | None = self.start(seed)
+        """Start the episode of a seed and take actions [T, A]; the last step."""
+        latest: ExternalStep | None = self.start(seed)
         for action in actions:
-            sight = self.step(action)
-        return sight
+            latest = self.step(action)
+        return latest

@@ -1,0 +1,61 @@
+"""A thread of its own for OpenGL.
+
+OpenGL's current context belongs to a thread. Drawing in a thread of its own never
+changes the context that another library made current in the user's thread.
+"""
+
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from queue import SimpleQueue
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
+
+
+class GLThread:
+    """Run functions one by one in a thread that lives until the main thread ends.
+
+    It ends before `atexit` functions run, among them those of mujoco and robosuite
+    that shut OpenGL down: after that, contexts can no longer be freed.
+
+    Args:
+        at_end: called in the thread as its last function.
+    """
+
+    def __init__(self, at_end: Callable[[], None]) -> None:
+        self._process = os.getpid()
+        self._jobs: SimpleQueue[tuple[Future[Any], Callable[[], Any]] | None]
+        self._jobs = SimpleQueue()
+        self._at_end = at_end
+        self._worker = threading.Thread(target=self._work, name="manip-gl")
+        self._worker.start()
+        threading.Thread(target=self._end_with_main, name="manip-gl-end").start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether it runs: not after a fork, nor once the main thread has ended."""
+        return self._process == os.getpid() and self._worker.is_alive()
+
+    def call(self, function: Callable[[], Result]) -> Result:
+        """Run a function in the thread; return or raise what it does."""
+        if threading.current_thread() is self._worker:  # a finalizer, say
+            return function()
+        future: Future[Result] = Future()
+        self._jobs.put((future, function))
+        return future.result()
+
+    def _work(self) -> None:
+        while job := self._jobs.get():
+            future, function = job
+            try:
+                future.set_result(function())
+            except BaseException as error:
+                future.set_exception(error)
+            del job, future, function  # results hold OpenGL objects
+        self._at_end()
+
+    def _end_with_main(self) -> None:
+        threading.main_thread().join()
+        self._jobs.put(None)
