@@ -76,7 +76,7 @@ def test_a_failing_child_gives_its_last_line() -> None:
 
 
 @pytest.mark.parametrize(
-    ("found", "asked", "ok"),
+    ("working", "requested", "ok"),
     [
         ("egl", "", True),
         ("egl", "EGL", True),
@@ -85,10 +85,10 @@ def test_a_failing_child_gives_its_last_line() -> None:
     ],
 )
 def test_rendering_needs_a_backend_that_is_not_contradicted(
-    found, asked, ok, monkeypatch
+    working, requested, ok, monkeypatch
 ) -> None:
-    monkeypatch.setattr(doctor_checks, "find_backend", lambda: found)
-    monkeypatch.setenv("MUJOCO_GL", asked)
+    monkeypatch.setattr(doctor_checks, "find_backend", lambda: working)
+    monkeypatch.setenv("MUJOCO_GL", requested)
     check = doctor_checks.check_rendering()
     assert check.ok is ok
     assert bool(check.remedy) is not ok
@@ -114,11 +114,11 @@ def put_before(monkeypatch, folder: Path, name: str, source: str) -> None:
 )
 def test_a_mujoco_that_does_not_fit_is_found(check, pins, monkeypatch, tmp_path):
     put_before(monkeypatch, tmp_path, "mujoco", "__version__ = '2.3.7'")
-    found = check()
-    assert not found.ok
-    assert found.required
-    assert "mujoco" in found.detail
-    assert found.remedy == f"pip install {pins}"
+    result = check()
+    assert not result.ok
+    assert result.required
+    assert "mujoco" in result.detail
+    assert result.remedy == f"pip install {pins}"
 
 
 @pytest.mark.parametrize(
@@ -137,36 +137,36 @@ class version: cuda = {cuda!r}
 class cuda: is_available = lambda: {gpu}
 """
     put_before(monkeypatch, tmp_path, "torch", source)
-    found = doctor_checks.check_cuda()
-    assert (found.ok, found.required) == (ok, False)
-    assert found.detail.endswith(detail)
-    assert "on the CPU" in found.remedy
+    check = doctor_checks.check_cuda()
+    assert (check.ok, check.required) == (ok, False)
+    assert check.detail.endswith(detail)
+    assert "on the CPU" in check.remedy
 
 
 @pytest.mark.parametrize(("cores", "ok"), [(1, False), (2, True)])
 def test_a_single_core_is_mentioned(cores: int, ok: bool, monkeypatch) -> None:
     monkeypatch.setattr(doctor_checks, "usable_cpus", lambda: cores)
-    found = doctor_checks.check_cpus()
-    assert (found.ok, found.required) == (ok, False)
-    assert found.detail.startswith(f"{cores} of ")
+    check = doctor_checks.check_cpus()
+    assert (check.ok, check.required) == (ok, False)
+    assert check.detail.startswith(f"{cores} of ")
 
 
 @pytest.mark.parametrize(("free", "ok"), [(0.3, False), (2.0, True)])
 def test_a_disk_that_is_nearly_full_is_found(free, ok, monkeypatch) -> None:
     usage = SimpleNamespace(free=free * 2**30)
     monkeypatch.setattr(doctor_checks.shutil, "disk_usage", lambda path: usage)
-    found = doctor_checks.check_disk()
-    assert (found.ok, found.required) == (ok, False)
-    assert found.detail == f"{free} GiB free in {Path.cwd()}"
-    assert "--out" in found.remedy
+    check = doctor_checks.check_disk()
+    assert (check.ok, check.required) == (ok, False)
+    assert check.detail == f"{free} GiB free in {Path.cwd()}"
+    assert "--out" in check.remedy
 
 
 def test_a_cache_that_cannot_be_written_is_found(monkeypatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", "/proc/no-such-folder")
-    found = doctor_checks.check_numba_cache()
-    assert (found.ok, found.required) == (False, False)
-    assert "/proc/no-such-folder" in found.detail
-    assert "NUMBA_CACHE_DIR" in found.remedy
+    check = doctor_checks.check_numba_cache()
+    assert (check.ok, check.required) == (False, False)
+    assert "/proc/no-such-folder" in check.detail
+    assert "NUMBA_CACHE_DIR" in check.remedy
 
 
 @pytest.mark.slow

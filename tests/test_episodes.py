@@ -2,9 +2,11 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from io import StringIO
 
 import pytest
 import torch
+from rich.console import Console
 from tensordict import TensorDict
 from toy import Points
 
@@ -14,7 +16,7 @@ from manip.evaluation.episodes import (
     EpisodeTracker,
     run_episodes,
 )
-from manip.evaluation.report import summarise
+from manip.evaluation.report import Evaluation, summarise, table
 
 
 def step(success: Sequence[bool], done: Sequence[bool], milestones=None) -> TensorDict:
@@ -165,3 +167,19 @@ def test_summary_gives_rates_means_and_the_median_of_first_successes() -> None:
     assert summary["milestones"] == {"near": 0.75, "there": 0.25}
     assert summary["first_success_median"] == 5.0
     assert summarise(episodes[2:], ("near", "there"))["first_success_median"] is None
+
+
+def test_the_table_shows_odd_text_as_it_is() -> None:
+    """Neither as markup of rich, which may fail, nor as commands to the terminal."""
+    text = "[red]ppo[/red] [/nonsense] \x1b[2J\n"
+    episode = Episode(0, 9, 1.0, True, True, True, 3, (True,))
+    result = Evaluation(
+        *("Lift", "Panda", text, "stock", "exact"),
+        **{"episodes": 1, "seed": 0, "purpose": "evaluation", "env_steps_trained": 9},
+        **summarise([episode], [text]),
+        **{"seconds": 1.0, "versions": {}},
+    )
+    shown = StringIO()
+    Console(file=shown, width=200).print(table(result))
+    assert shown.getvalue().count(r"[red]ppo[/red] [/nonsense] \x1b[2J\n") == 2
+    assert "\x1b" not in shown.getvalue()

@@ -49,9 +49,9 @@ def test_assertions_are_detected(source: str, count: int) -> None:
 
 
 def test_nothing_is_checked_by_assert() -> None:
-    found = {
+    assertions_of = {
         str(path.relative_to(ROOT)): lines
         for path in SOURCES
         if (lines := list(assertions(path.read_text())))
     }
-    assert found == {}
+    assert assertions_of == {}

@@ -10,7 +10,7 @@ from manip.agents import policy as policy_files
 from manip.agents.policy import load_policy, shipped_policies
 from manip.envs.episode_streams import CHOICE, EVALUATION
 from manip.errors import UserError
-from manip.evaluation.comparison import verdict
+from manip.evaluation.comparison import comparison_record, verdict
 from manip.evaluation.episodes import Episode
 from manip.evaluation.results_table import HEADER, markdown, rows
 from manip.evaluation.runners import EpisodeSettings, make_env
@@ -58,9 +58,9 @@ def test_a_shipped_policy_loads_and_has_a_result(name: str) -> None:
 @pytest.mark.parametrize("name", shipped_policies())
 def test_a_shipped_policy_fits_its_task(name: str) -> None:
     card = load_policy(name).card
-    env = make_env(
-        EpisodeSettings(card.task, card.robot_config, card.observation, backend="native")
-    )
+    needed = card.observation
+    settings = EpisodeSettings(card.task, card.robot_config, needed, backend="native")
+    env = make_env(settings)
     assert env.batch.action_dim == card.action_dim
 
 
@@ -109,6 +109,16 @@ def test_a_row_says_how_many_seeds_its_interval_covers() -> None:
     low, high = several.rate.low, several.rate.high
     assert high - low > single.rate.high - single.rate.low
     assert "one seed: over episodes only" in markdown(Results({}, (single,)))
+
+
+def test_a_record_says_what_its_interval_covers() -> None:
+    stored = Results({}, (result_of(97, 99, 100),))
+    several = comparison_record(result_of(90, 100, 95), stored)
+    assert (several["seeds"], several["shipped_seeds"]) == (3, 3)
+    assert several["interval_covers"] == "seeds and episodes"
+    single = comparison_record(result_of(95), Results({}, ()))
+    assert single["interval_covers"] == "episodes only"
+    assert (single["verdict"], single["shipped"]) == ("new", None)
 
 
 def shipped_by(tmp_path: Path, result: Result, stored: Results) -> list[int]:
@@ -182,14 +192,11 @@ def tiny(monkeypatch, tmp_path: Path) -> Path:
 
 def test_a_recipe_is_reproduced_and_compared(tiny: Path, tmp_path: Path) -> None:
     record = tmp_path / "record.json"
-    command = ["Reach", "--seeds", "2", "--episodes", "1", "--out", str(tmp_path)]
+    command = ["Reach", "--seeds", "1", "--episodes", "1", "--out", str(tmp_path)]
     assert cli.run(reproduce.main, [*command, "--write"]) == 0
     (result,) = load_results(tiny).results
-    assert (result.key, [run.seed for run in result.runs]) == (
-        ("Reach", "Panda", "ppo"),
-        [0, 1],
-    )
-    run = result.runs[0]
+    (run,) = result.runs
+    assert (result.key, run.seed) == (("Reach", "Panda", "ppo"), 0)
     assert (run.success_held, run.episodes, run.env_steps) == (0, 1, 64)
     assert run.choice_rate == 0
     assert shipped_policies() == {}  # no episode was held
@@ -197,8 +204,7 @@ def test_a_recipe_is_reproduced_and_compared(tiny: Path, tmp_path: Path) -> None
     Results({}, (better,)).save(tiny)
     assert cli.run(reproduce.main, [*command, "--json", str(record)]) == 1
     (row,) = json.loads(record.read_text())["results"]
-    assert (row["verdict"], row["seeds"], row["shipped_seeds"]) == ("worse", 2, 3)
-    assert row["interval_covers"] == "seeds and episodes"
+    assert (row["verdict"], row["seeds"], row["shipped_seeds"]) == ("worse", 1, 3)
     assert row["rate"].keys() == row["shipped"].keys() == {"rate", "low", "high"}
     assert (row["shipped"]["rate"], row["rate"]["rate"]) == (1.0, 0.0)
     assert (row["runs"][0]["success_held"], row["runs"][0]["env_steps"]) == (0, 64)

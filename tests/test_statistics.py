@@ -92,9 +92,9 @@ GROUPS = [(3, 1), (3, 3), (3, 5), (5, 3), (5, 5), (3, 13)]
 
 @pytest.mark.parametrize(("new", "stored"), GROUPS)
 def test_unchanged_lift_is_called_worse_in_at_most_5_percent(new, stored) -> None:
-    found = verdicts(LIFT[0], new, stored, n=4000)
-    assert found.count("worse") / 4000 <= 0.05
-    assert found.count("better") / 4000 <= 0.05
+    results = verdicts(LIFT[0], new, stored, n=4000)
+    assert results.count("worse") / 4000 <= 0.05
+    assert results.count("better") / 4000 <= 0.05
 
 
 @pytest.mark.parametrize(
@@ -102,8 +102,8 @@ def test_unchanged_lift_is_called_worse_in_at_most_5_percent(new, stored) -> Non
     [(3, 1, 0.3), (3, 3, 0.68), (3, 5, 0.8), (5, 5, 0.9)],
 )
 def test_a_drop_to_85_percent_is_found(new, stored, power) -> None:
-    found = verdicts(0.85, new, stored, n=2000)
-    assert found.count("worse") / 2000 >= power
+    results = verdicts(0.85, new, stored, n=2000)
+    assert results.count("worse") / 2000 >= power
 
 
 def test_a_comparison_needs_three_seeds_and_goes_both_ways() -> None:

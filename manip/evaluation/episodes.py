@@ -9,7 +9,6 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-
 HELD_STEPS = 10
 """Success is held if it is true in the last ten control steps of an episode."""
 

@@ -99,7 +99,7 @@ def compare_seeds(new: Sequence[SeedCount], stored: Sequence[SeedCount]) -> Comp
     than three seeds in both groups together, so that no spread is known. For the
     spread of Lift (mean 95.7 %, standard deviation 4.1 % between seeds of 100
     episodes) unchanged groups of 3 to 5 seeds are called worse in less than 5 % of
-    comparisons; a drop of the mean to 85 % is found in 70 % of comparisons of 3 with
+    comparisons; a drop of the mean to 85 % is detected in 70 % of comparisons of 3 with
     3 seeds, 93 % of 5 with 5.
     """
     freedom = len(new) + len(stored) - 2

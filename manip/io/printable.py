@@ -1,6 +1,6 @@
 """Text from files, made safe to print."""
 
-MOST = 1000
+MOST = 5000
 """Characters of a text that are shown."""
 
 

@@ -20,7 +20,7 @@ Program = Callable[[Sequence[str]], int]
 """Takes the arguments of a command line, returns the exit code."""
 
 MISTAKE, INTERRUPTED = 2, 130
-"""Exit codes: an error told in one line, and Ctrl-C."""
+"""Exit codes: an error reported in one line, and Ctrl-C."""
 
 ALLOCATOR_MESSAGES = ("can't allocate", "not enough memory", "bad_alloc", "bad alloc")
 """In the errors of allocators that raise no MemoryError (torch, C++)."""

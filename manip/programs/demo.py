@@ -18,7 +18,7 @@ from manip.programs import cli
 from manip.programs.demo_folder import FILES, is_unfinished, remove_finished
 from manip.programs.evaluate import MOST_EPISODES, Evaluate, evaluate
 from manip.programs.output import console
-from manip.programs.render import Render, film
+from manip.programs.render import Render, render_video
 from manip.training.config import TrainConfig, recipe
 from manip.training.run import RunResult, train
 from manip.training.run_logs import read_metrics
@@ -57,7 +57,7 @@ def main(arguments: Sequence[str]) -> int:
     result = evaluate(Evaluate(options.out, "stock", options.episodes))
     write_text(options.out / "eval.json", result.to_json())
     _print_step("3/3  render and plot")
-    film(Render(options.out, options.out / "video.mp4", steps=60))
+    render_video(Render(options.out, options.out / "video.mp4", steps=60))
     _plot(options)
     console().print(table(result))
     console().print(_summary(run, result))

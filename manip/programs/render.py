@@ -62,12 +62,12 @@ def main(arguments: Sequence[str]) -> int:
     """Make the video and print its path."""
     options = cli.parse(Render, arguments, "manip render")
     torch.set_num_threads(1)
-    film(options)
+    render_video(options)
     print(printable(str(options.out)))
     return 0
 
 
-def film(options: Render) -> None:
+def render_video(options: Render) -> None:
     """Run the episodes on the exact engine, then draw the recorded states.
 
     Raises:

@@ -133,12 +133,14 @@ def chosen(options: Reproduce, stored: Results) -> list[TrainConfig]:
     for name in options.what:
         if name not in names:
             raise unknown("recipe", name, sorted(names))
-    return [
-        recipes(robot)[name]
+    pairs = [
+        (name, robot)
         for name, config in known.items()
         if {"all", name, config.task} & set(options.what)
         for robot in _robots(config, options, stored)
     ]
+    of_robot = {robot: recipes(robot) for robot in {robot for _, robot in pairs}}
+    return [of_robot[robot][name] for name, robot in pairs]
 
 
 def _robots(config: TrainConfig, options: Reproduce, stored: Results) -> list[str]:
