@@ -8,6 +8,7 @@ from toy import QUICK_A2C, SPACES, Points, make_agent, mean_return
 
 from manip.agents.a2c import A2C
 from manip.agents.a3c import A3C, A3CConfig
+from manip.rewards.reward_function import EnvironmentReward
 from manip.training.collector import Collector
 
 QUICK = A3CConfig(
@@ -24,7 +25,7 @@ def run(agent: A2C, workers: int, steps: int) -> A2C:
     torch.manual_seed(5)
     size = 16 // workers
     envs = [Points([20] * size, seed=worker) for worker in range(workers)]
-    collector = Collector(envs, agent, ahead=False)
+    collector = Collector(envs, agent, ahead=False, reward=EnvironmentReward())
     for _ in range(steps // (size * agent.rollout_length)):
         agent.update(collector.next().batch)
     return agent
@@ -35,9 +36,9 @@ def weights(agent: A2C) -> torch.Tensor:
 
 
 def test_one_worker_is_a2c() -> None:
-    mine = run(make_agent(replace(QUICK, workers=1), seed=0), 1, 1280)
+    agent = run(make_agent(replace(QUICK, workers=1), seed=0), 1, 1280)
     other = run(make_agent(QUICK_A2C, seed=0), 1, 1280)
-    assert torch.equal(weights(mine), weights(other))
+    assert torch.equal(weights(agent), weights(other))
 
 
 def test_a_gradient_is_of_the_parameters_that_its_worker_copied() -> None:
@@ -57,12 +58,12 @@ def test_a_gradient_is_of_the_parameters_that_its_worker_copied() -> None:
 
 def test_shared_parameters_move_twice_while_one_of_three_works() -> None:
     agent = make_agent(QUICK, seed=0)
-    seen, moves = [], []
+    begun_at, moves = [], []
     policy, update = agent.policy, agent.update
-    agent.policy = lambda: (seen.append(len(moves)), policy())[1]
+    agent.policy = lambda: (begun_at.append(len(moves)), policy())[1]
     agent.update = lambda batch: (update(batch), moves.append(1))[0]
     run(agent, 3, 5 * 8 * 6)
-    ages = [taken - begun for taken, begun in enumerate(seen[: len(moves)])]
+    ages = [taken - begun for taken, begun in enumerate(begun_at[: len(moves)])]
     assert ages == [0, 1, 2, 2, 2, 2]
 
 
@@ -76,7 +77,7 @@ def test_learns_to_go_to_the_goal(seed: int) -> None:
     assert mean_return(run(make_agent(QUICK, seed), 3, 3200)) > 15.5
 
 
-def test_workers_share_the_norm_of_what_all_have_seen() -> None:
+def test_workers_share_one_normalisation() -> None:
     agent = run(make_agent(QUICK, seed=0), 3, 5 * 8 * 4)
     assert isinstance(agent, A3C)
     assert agent.actor.norm.count == 5 * 8 * 4

@@ -15,13 +15,13 @@ ROOT = Path(__file__).parent.parent
 
 NORMALISE = """
 import numpy as np
-from manip.agents.native.mlp_kernels import _normalise
+from manip.agents.native.row_kernels import normalise as layer_norm
 from manip.compiled import fast_jit, fast_kernel
 
 @fast_kernel
 def normalise_twice(z, bias, gain, shift, deviation, y):
-    _normalise(z, bias, gain, shift, deviation, y)
-    _normalise(y, bias, gain, shift, deviation, z)
+    layer_norm(z, bias, gain, shift, deviation, y)
+    layer_norm(y, bias, gain, shift, deviation, z)
 
 @fast_jit
 def normalise(z, bias, gain, shift, deviation, y):

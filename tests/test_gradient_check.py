@@ -3,6 +3,7 @@
 import math
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -11,6 +12,8 @@ import pytest
 import torch
 from faulty_gradients import (
     BY_ONE_PERCENT,
+    SMALL,
+    SPACES,
     ScaledInputs,
     ScaledResult,
     gradient_names,
@@ -18,10 +21,13 @@ from faulty_gradients import (
     recheck,
 )
 from torch import Tensor
+from toy import QUICK_TD3, Points
 
 from manip.agents.native import gradient_check
 from manip.agents.ppo import PPO
 from manip.agents.sac import SAC
+from manip.training.build import build_agent
+from manip.training.config import TrainConfig
 
 ALGORITHMS = ("sac", "ppo")
 FOUND = "native gradients differ"
@@ -35,6 +41,26 @@ def test_rounding_is_no_error_in_twenty_initialisations(algorithm: str) -> None:
         for seed in range(20):
             agent = make_agent(algorithm, seed)
             assert agent._gradients.in_use is agent._gradients._native
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "options"),
+    [
+        ("sac", {"critics": 1}),
+        ("sac", {"critics": 3, "gamma": 1.0}),
+        ("sac", {"batch_size": 1, "n_step": 1}),
+        ("sac", {"initial_alpha": 10.0, "action_scale": (1.0, 0.01, 0.3)}),
+        ("ppo", {"clip": None, "entropy_coefficient": 0.0}),
+        ("ppo", {"clip": 0.9, "critic_coefficient": 0.0}),
+        ("ppo", {"clip": 1.0, "normalise": False}),
+        ("ppo", {"clip": 0.001, "action_scale": (1.0, 0.01, 0.3)}),
+    ],
+)
+def test_no_option_is_an_error(algorithm: str, options: dict[str, Any]) -> None:
+    config = replace(SMALL[algorithm], **options)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", FOUND)
+        {"sac": SAC, "ppo": PPO}[algorithm](config, SPACES)
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
@@ -226,3 +252,17 @@ def test_a_batch_with_nan_is_no_evidence(algorithm, monkeypatch) -> None:
             rows = torch.full_like(rows_for(algorithm), math.nan)
             agent._gradients._select(rows)
     assert agent._gradients.in_use is agent._gradients._native
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_the_option_gradients_chooses_what_a_run_learns_from(algorithm: str) -> None:
+    for source, expected in (("native", "CheckedGradients"), ("torchrl", "Autograd")):
+        config = TrainConfig(algo=algorithm, gradients=source, agent=SMALL[algorithm])
+        agent = build_agent(config, Points([5, 5]))
+        assert type(agent._gradients).__name__.startswith(expected)
+
+
+def test_other_algorithms_learn_through_torchrls_losses_with_either_option() -> None:
+    for source in ("native", "torchrl"):
+        config = TrainConfig(algo="td3", gradients=source, agent=QUICK_TD3)
+        assert build_agent(config, Points([5, 5])).has_native_gradients is False

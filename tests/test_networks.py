@@ -21,11 +21,11 @@ def pieces(count: int = 7, width: int = 4) -> list[torch.Tensor]:
 
 
 def test_running_norm_equals_numpy_over_everything_seen() -> None:
-    norm, seen = RunningNorm(4), []
+    norm, pieces_so_far = RunningNorm(4), []
     for piece in pieces():
         norm.update(piece)
-        seen.append(piece.numpy())
-        everything = np.concatenate(seen).astype(np.float64)
+        pieces_so_far.append(piece.numpy())
+        everything = np.concatenate(pieces_so_far).astype(np.float64)
         assert norm.count == len(everything)
         np.testing.assert_allclose(norm.mean, everything.mean(0), rtol=1e-5)
         np.testing.assert_allclose(norm.var, everything.var(0), rtol=1e-5)

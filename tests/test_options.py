@@ -194,10 +194,10 @@ def assert_answered_in_a_line(program: str, line: list[str], patch, capfd) -> No
     patch.setattr(train, "train", unwilling)
     capfd.readouterr()
     code = cli.run(PROGRAMS[program].main, line)
-    said = capfd.readouterr().err
+    printed = capfd.readouterr().err
     assert code == 2
-    assert said.startswith("manip: error: ")
-    assert said.count("\n") == 1, said
+    assert printed.startswith("manip: error: ")
+    assert printed.count("\n") == 1, printed
 
 
 careful = settings(

@@ -93,9 +93,9 @@ def test_a_run_folder_leads_to_its_policy(folder: Path) -> None:
 @pytest.mark.parametrize("name", ["", "no such folder", f"policy/{WEIGHTS}"])
 def test_a_wrong_folder_is_named(name: str, folder: Path) -> None:
     wrong = folder.parent / name if name else folder.parent.parent
-    with pytest.raises(UserError, match="holds no policy") as told:
+    with pytest.raises(UserError, match="holds no policy") as error:
         load_policy(wrong)
-    assert str(told.value).startswith(str(wrong))
+    assert str(error.value).startswith(str(wrong))
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 2, "robot": "Jaco"}'])

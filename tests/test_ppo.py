@@ -1,5 +1,6 @@
 """PPO: advantages and objective by hand, epochs, log-probabilities, learning."""
 
+from copy import deepcopy
 from dataclasses import replace
 
 import pytest
@@ -10,10 +11,17 @@ from torch.distributions import Normal
 from torchrl.modules import ValueOperator
 from torchrl.objectives import PPOLoss
 from torchrl.objectives.value import GAE
-from toy import QUICK_PPO, make_agent, mean_return, rollout_of, three_steps, train
+from toy import (
+    QUICK_PPO,
+    SPACES,
+    make_agent,
+    mean_return,
+    rollout_of,
+    three_steps,
+    train,
+)
 
 from manip.agents.agent import Agent, Spaces
-from manip.agents.native import gradient_check as checked
 from manip.agents.native.ppo_gradients import AutogradGradients, NativeGradients
 from manip.agents.ppo import PPO, PPOConfig
 from manip.agents.value_targets import add_values
@@ -113,30 +121,26 @@ def test_losses_are_the_clipped_objective_and_the_squared_error(clip) -> None:
     torch.testing.assert_close(found["loss_entropy"], -0.002 * entropy)
 
 
-def native_and_defined(monkeypatch: pytest.MonkeyPatch, config: PPOConfig, spaces):
-    """Two agents of the same weights; the second falls back on autograd."""
+def native_and_torchrl(config: PPOConfig, spaces: Spaces) -> tuple[PPO, PPO]:
+    """Return two agents of equal weights; the second learns by TorchRL's losses."""
     torch.manual_seed(0)
     native = PPO(config, spaces, threads=2)
-    monkeypatch.setattr(checked, "TOLERANCE", -1.0)
-    with pytest.warns(UserWarning, match="native gradients differ"):
-        defined = PPO(config, spaces)
+    torchrl = PPO(config, spaces, gradients="torchrl")
     draw = torch.Generator().manual_seed(1)
     native._params.data += 0.1 * torch.randn(native._params.shape, generator=draw)
     native.actor.norm.update(3 * torch.randn(50, spaces.observation_dim) + 1)
-    loss_of(defined).load_state_dict(loss_of(native).state_dict())
-    return native, defined
+    loss_of(torchrl).load_state_dict(loss_of(native).state_dict())
+    return native, torchrl
 
 
 @pytest.mark.parametrize("size", [40, 128, 300])
 @pytest.mark.parametrize(
     ("scale", "clip"), [((), 0.2), ((1.0, 0.5, 0.1), 0.2), ((), None)]
 )
-def test_native_gradients_are_those_of_torchrls_loss(
-    size, scale, clip, monkeypatch
-) -> None:
+def test_native_gradients_are_those_of_torchrls_loss(size, scale, clip) -> None:
     config = replace(QUICK_PPO, action_scale=scale, clip=clip, critic_hidden=(16, 24))
-    both = native_and_defined(monkeypatch, config, Spaces(5, 3))
-    assert isinstance(both[0]._gradients, NativeGradients)
+    both = native_and_torchrl(config, Spaces(5, 3))
+    assert isinstance(both[0]._gradients.in_use, NativeGradients)
     assert isinstance(both[1]._gradients, AutogradGradients)
     state = torch.randn(size, 5)
     mean, std = both[0].actor(state)
@@ -144,23 +148,21 @@ def test_native_gradients_are_those_of_torchrls_loss(
     log_prob = Normal(mean, std).log_prob(action).sum(-1, keepdim=True).detach()
     old = log_prob + 0.3 * torch.randn(size, 1)
     rows = torch.cat([state, action, old, torch.randn(size, 2)], -1)
-    mine, expected = [agent._gradients(rows)._asdict() for agent in both]
+    native, expected = [agent._gradients(rows)._asdict() for agent in both]
     if clip:
-        assert 0.1 < mine["clip_fraction"] < 0.9
+        assert 0.1 < native["clip_fraction"] < 0.9
     ratio = (log_prob - old).exp()
-    assert mine["kl"] == pytest.approx(
-        (ratio - 1 - ratio.log()).mean().item(), rel=1e-4
-    )
-    del mine["kl"], expected["kl"]
-    assert mine == pytest.approx(expected, rel=1e-4)
+    kl = (ratio - 1 - ratio.log()).mean().item()
+    assert native["kl"] == pytest.approx(kl, rel=1e-4)
+    assert native == pytest.approx(expected, rel=1e-4)
     gradients = [agent._params.grad for agent in both]
     assert gradients[1].abs().max() > 0
     torch.testing.assert_close(*gradients, rtol=1e-4, atol=1e-6)
 
 
-def test_a_minibatch_of_one_has_gradients_too(monkeypatch) -> None:
+def test_a_minibatch_of_one_has_gradients_too() -> None:
     """TorchRL leaves the advantage of one sample as it is, without a deviation."""
-    both = native_and_defined(monkeypatch, QUICK_PPO, Spaces(5, 3))
+    both = native_and_torchrl(QUICK_PPO, Spaces(5, 3))
     row = torch.randn(1, 5 + 3 + 3)
     row[:, 8] = Normal(*both[0].actor(row[:, :5])).log_prob(row[:, 5:8]).sum().detach()
     for agent in both:
@@ -168,6 +170,44 @@ def test_a_minibatch_of_one_has_gradients_too(monkeypatch) -> None:
     gradients = [agent._params.grad for agent in both]
     assert gradients[1].abs().max() > 0
     torch.testing.assert_close(*gradients, rtol=1e-4, atol=1e-6)
+
+
+def test_an_agent_learns_alike_with_native_and_torchrl_gradients() -> None:
+    both, logged = native_and_torchrl(QUICK_PPO, SPACES), []
+    batches = [rollout_of(both[0]) for _ in range(3)]
+    for agent in both:
+        torch.manual_seed(0)
+        logged.append([agent.update(batch.clone()) for batch in batches])
+    for mine, expected in zip(*logged, strict=True):
+        assert mine == pytest.approx(expected, rel=1e-3, abs=1e-5)
+    native, expected = [loss_of(agent).state_dict() for agent in both]
+    for name, value in native.items():
+        torch.testing.assert_close(value, expected[name], rtol=1e-3, atol=1e-5)
+
+
+def test_native_and_torchrl_gradients_stop_at_the_same_kl_divergence() -> None:
+    config = replace(QUICK_PPO, epochs=20, learning_rate=0.01, target_kl=0.02)
+    steps = []
+    for gradients in ("native", "torchrl"):
+        torch.manual_seed(0)
+        agent = PPO(config, SPACES, gradients=gradients)
+        agent.update(rollout_of(agent))
+        steps.append(steps_of(agent))
+    assert steps[0] == steps[1]
+    assert 1 < steps[0] // config.minibatches < config.epochs
+
+
+def test_the_logged_kl_divergence_is_that_of_the_whole_update() -> None:
+    agent = make_agent(replace(QUICK_PPO, learning_rate=0.02), seed=0)
+    batch = rollout_of(agent)
+    norm = deepcopy(agent.actor.norm)
+    logged = agent.update(batch)
+    agent.actor.norm = norm  # it takes in the rollout after the update
+    old, new = batch["action_log_prob"], Normal(*agent.actor(batch["observation"]))
+    log_ratio = new.log_prob(batch["action"]).sum(-1) - old
+    kl = (log_ratio.exp() - 1 - log_ratio).mean().item()
+    assert kl > 1e-3
+    assert logged["kl"] == pytest.approx(kl, rel=1e-4)
 
 
 def test_rollout_log_probabilities_are_the_losss_also_after_updates() -> None:

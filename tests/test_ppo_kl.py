@@ -60,7 +60,7 @@ def part(name: str, width: int) -> dict[str, Any]:
     return {"name": name, "shape": [width], "dtype": "float32", "role": "object"}
 
 
-def saved(agent: PPOKL, folder: Path) -> str:
+def save_policy(agent: PPOKL, folder: Path) -> str:
     card = PolicyCard(
         task="Reach", robot="Panda", algo="ppo", controller="OSC_POSE",
         control_freq=20, action_dim=1, observation=[part("x", 1)], hidden=[32],
@@ -73,7 +73,7 @@ def saved(agent: PPOKL, folder: Path) -> str:
 def test_a_run_starts_from_its_reference_and_pays_for_leaving_it(tmp_path) -> None:
     trained = agent_of(seed=1)
     trained.actor.body[-1].bias.data += 0.5
-    reference = saved(trained, tmp_path)
+    reference = save_policy(trained, tmp_path)
     config = replace(QUICK_PPO_KL, reference=reference, reference_beta=0.2)
     agent, state = agent_of(config), torch.linspace(-1, 1, 9)[:, None]
     assert torch.equal(agent.actor.decide(state), trained.actor.decide(state))
@@ -83,13 +83,13 @@ def test_a_run_starts_from_its_reference_and_pays_for_leaving_it(tmp_path) -> No
     paid, observation = batch["next", "reward"].clone(), batch["observation"]
     agent._penalise(batch)
     policies = [Normal(*actor(observation)) for actor in (agent.actor, trained.actor)]
-    mine, old = (policy.log_prob(batch["action"]) for policy in policies)
-    expected = paid - 0.2 * (mine - old)
+    new, old = (policy.log_prob(batch["action"]) for policy in policies)
+    expected = paid - 0.2 * (new - old)
     torch.testing.assert_close(batch["next", "reward"], expected.detach())
 
 
 def test_the_reference_does_not_learn(tmp_path) -> None:
-    config = replace(QUICK_PPO_KL, reference=saved(agent_of(seed=1), tmp_path))
+    config = replace(QUICK_PPO_KL, reference=save_policy(agent_of(seed=1), tmp_path))
     agent = agent_of(config)
     before = {k: v.clone() for k, v in agent._reference.state_dict().items()}
     agent.update(add_values(rollout_of(agent), agent.critic))
@@ -99,26 +99,26 @@ def test_the_reference_does_not_learn(tmp_path) -> None:
 
 
 def test_a_reference_of_other_networks_is_refused(tmp_path) -> None:
-    reference = saved(agent_of(), tmp_path)
+    reference = save_policy(agent_of(), tmp_path)
     with pytest.raises(UserError, match="has other networks than this run"):
         agent_of(replace(QUICK_PPO_KL, reference=reference, actor_hidden=(16,)))
 
 
 def test_a_run_that_goes_on_keeps_its_reference(tmp_path) -> None:
-    config = replace(QUICK_PPO_KL, reference=saved(agent_of(seed=1), tmp_path))
+    config = replace(QUICK_PPO_KL, reference=save_policy(agent_of(seed=1), tmp_path))
     agent = agent_of(config)
     before = {name: m.state_dict() for name, m in agent.modules().items()}
-    saved(agent_of(seed=2), tmp_path)
+    save_policy(agent_of(seed=2), tmp_path)
     again = agent_of(config)
-    kept, now = (next(a._reference.body.parameters()) for a in (agent, again))
-    assert not torch.equal(now, kept)
+    first, second = (next(a._reference.body.parameters()) for a in (agent, again))
+    assert not torch.equal(second, first)
     for name, module in again.modules().items():
         module.load_state_dict(before[name])
-    assert torch.equal(now, kept)
+    assert torch.equal(second, first)
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ({"observation": [part("x", 26)]}, "another observation .*: x is missing"),
         ({"robot": "Sawyer"}, "was trained with robot Sawyer, not Panda"),
@@ -126,15 +126,15 @@ def test_a_run_that_goes_on_keeps_its_reference(tmp_path) -> None:
     ],
 )
 def test_a_reference_of_another_arm_or_task_is_refused(
-    changes: dict[str, Any], told: str, tmp_path: Path
+    changes: dict[str, Any], message: str, tmp_path: Path
 ) -> None:
     config = from_dict({"task": "Reach", "algo": "ppo-kl", "num_envs": 1})
-    judge = evaluation_env(replace(config, eval_episodes=1))
-    policy = policy_of(build_agent(config, judge), config, judge, 0)
+    env = evaluation_env(replace(config, eval_episodes=1))
+    policy = policy_of(build_agent(config, env), config, env, 0)
     replace(policy, card=replace(policy.card, **changes)).save(tmp_path)
     agent = replace(config.agent, reference=str(tmp_path))
-    with pytest.raises(UserError, match=told):
-        build_agent(replace(config, agent=agent), judge)
+    with pytest.raises(UserError, match=message):
+        build_agent(replace(config, agent=agent), env)
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])

@@ -12,6 +12,7 @@ from manip.agents.registry import algorithm_names, load_algorithm
 from manip.envs.task_registry import load_task, task_names
 from manip.errors import UserError
 from manip.programs import train
+from manip.training.build import build_agent, evaluation_env, training_envs
 from manip.training.config import (
     from_dict,
     recipe,
@@ -78,3 +79,51 @@ def test_a_run_folder_is_named_after_what_is_trained() -> None:
 def test_wrong_options_are_told(values: dict[str, Any], told: str) -> None:
     with pytest.raises(UserError, match=told):
         from_dict(values)
+
+
+# action_scale
+
+
+def test_a_recipes_action_scale_is_left_out_with_another_controller() -> None:
+    own, other = (recipe("Lift", "sac", controller=c) for c in (None, "JOINT_POSITION"))
+    assert len(own.agent.action_scale) == 7
+    assert other.agent.action_scale == ()
+    assert other.controller == "JOINT_POSITION"
+    assert replace(other, controller="OSC_POSE", agent=own.agent) == own
+
+
+def test_leaving_out_a_recipes_action_scale_is_reported(capsys) -> None:
+    train._defaults(["--task", "Lift", "--controller", "OSC_POSITION"])
+    message = "manip: the recipe's action_scale is not used with OSC_POSITION\n"
+    assert capsys.readouterr().err == message
+    train._defaults(["--task", "Lift", "--controller", "OSC_POSE"])
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("controller", ["OSC_POSE", "OSC_POSITION", "JOINT_POSITION"])
+def test_a_given_action_scale_fits_the_controller_or_is_refused(
+    controller: str, tmp_path: Path
+) -> None:
+    dims = {"OSC_POSE": 7, "OSC_POSITION": 4, "JOINT_POSITION": 8}
+    config = tiny("sac", tmp_path / "run", controller=controller, eval_episodes=1)
+    env = evaluation_env(config)
+    for size in (3, dims[controller]):
+        agent = replace(config.agent, action_scale=(0.5,) * size)
+        changed = replace(config, agent=agent)
+        if size == dims[controller]:
+            assert build_agent(changed, env).actor.action_scale.tolist() == [0.5] * size
+        else:
+            with pytest.raises(UserError, match=f"has 3 numbers, but {controller}"):
+                build_agent(changed, env)
+
+
+def test_options_belong_to_their_algorithm() -> None:
+    config = recipe("Lift", "sac")
+    with pytest.raises(UserError, match="options of algorithm 'ppo', PPOConfig, not"):
+        replace(config, algo="ppo")
+
+
+def test_a_rollout_must_fit_the_replay_buffer(tmp_path: Path) -> None:
+    config = tiny("sac", tmp_path, agent={"buffer_size": 10, "rollout_length": 8})
+    with pytest.raises(UserError, match=r"10 is smaller than a rollout of 4 env.* x 8"):
+        training_envs(config)

@@ -108,8 +108,8 @@ def test_no_more_rewards_are_summed_up_than_a_rollout_has() -> None:
 def test_the_entropy_bonus_can_be_left_out(config: AgentConfig) -> None:
     agent = make_agent(replace(config, entropy_coefficient=0.0), seed=0)
     before = agent._params.detach().clone()
-    told = agent.update(rollout_of(agent))
-    assert all(map(math.isfinite, told.values()))
+    logged = agent.update(rollout_of(agent))
+    assert all(map(math.isfinite, logged.values()))
     assert not torch.equal(agent._params, before)
 
 

@@ -103,8 +103,8 @@ def test_a_full_ring_forgets_the_oldest_and_no_link_leads_astray(capacity, n) ->
     for at in range(0, 22, 2):
         replay.add(rollout(at, ends[at : at + 2]))
         stored = range(max(0, at + 2 - capacity), at + 2)
-        seen = table(replay_of(rollout(0, ends[: at + 2]), capacity=30), n)
-        assert table(replay, n) == {t: seen[t] for t in stored}
+        whole = table(replay_of(rollout(0, ends[: at + 2]), capacity=30), n)
+        assert table(replay, n) == {t: whole[t] for t in stored}
 
 
 def test_a_ring_of_several_environments_never_mixes_episodes() -> None:
@@ -213,7 +213,7 @@ def test_a_buffer_that_was_not_saved_is_filled_again() -> None:
     "damage",
     [
         *({"cursor": 999}, {"cursor": 2.5}, {"episodes": "x"}, {"owed": -1.0}),
-        *({"seen": -1}, {"heads": torch.tensor([99, 0, 0])}),
+        *({"steps": -1}, {"heads": torch.tensor([99, 0, 0])}),
         {"heads": torch.tensor([NONE])},
     ],
 )

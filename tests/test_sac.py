@@ -11,7 +11,6 @@ from torchrl.objectives import SACLoss
 from toy import QUICK_SAC, Points, make_agent, mean_return, train
 
 from manip.agents.agent import Spaces
-from manip.agents.native import gradient_check as checked
 from manip.agents.native import sac_gradients as sac_gradients
 from manip.agents.native.sac_gradients import AutogradGradients, NativeGradients
 from manip.agents.off_policy import rows_of
@@ -72,32 +71,30 @@ def gradients_of(agent: SAC) -> sac_gradients.Gradients:
     return agent._gradients
 
 
-def found_by(agent: SAC, batch: TensorDict) -> tuple[list[Tensor], list[float]]:
-    """Gradients of critics and actor, and what else they tell."""
-    rows = rows_of(batch)
+def gradients_and_losses(
+    agent: SAC, batch: TensorDict
+) -> tuple[list[Tensor], list[float]]:
+    """Return the gradients of actor and critics, and the reported numbers."""
+    rows, gradients = rows_of(batch), gradients_of(agent)
     torch.manual_seed(7)
-    told = [gradients_of(agent).critic(rows), *gradients_of(agent).actor(rows)]
-    return [param.grad.clone() for param in agent._params[:2]], told
+    numbers = [gradients.critic(rows), *gradients.actor(rows)]
+    return [param.grad.clone() for param in agent._params[:2]], numbers
 
 
-def native_and_defined(
-    monkeypatch: pytest.MonkeyPatch, config: SACConfig
-) -> tuple[SAC, SAC]:
-    """Two agents of the same weights; the second falls back on autograd."""
+def native_and_torchrl(config: SACConfig) -> tuple[SAC, SAC]:
+    """Return two agents of equal weights; the second learns by TorchRL's losses."""
     native = agent_of(config)
-    monkeypatch.setattr(checked, "TOLERANCE", -1.0)
-    with pytest.warns(UserWarning, match="native gradients differ"):
-        defined = agent_of(config, seed=1)
+    torchrl = SAC(config, SPACES, gradients="torchrl")
     shake(loss_of(native))
-    loss_of(defined).load_state_dict(loss_of(native).state_dict())
-    return native, defined
+    loss_of(torchrl).load_state_dict(loss_of(native).state_dict())
+    return native, torchrl
 
 
 @pytest.mark.parametrize("scale", [(), (1.0, 0.5, 0.1)])
 @pytest.mark.parametrize("size", [64, 128, 200])
 @pytest.mark.parametrize(("hidden", "critics"), [((16,), 2), ((16, 24), 2), ((16,), 1)])
 def test_native_gradients_are_those_of_torchrls_loss(
-    scale, size, hidden, critics, monkeypatch
+    scale, size, hidden, critics
 ) -> None:
     config = replace(
         SMALL,
@@ -107,52 +104,54 @@ def test_native_gradients_are_those_of_torchrls_loss(
         actor_hidden=hidden,
         critic_hidden=hidden,
     )
-    both = native_and_defined(monkeypatch, config)
-    assert isinstance(gradients_of(both[0]), NativeGradients)
+    both = native_and_torchrl(config)
+    assert isinstance(gradients_of(both[0]).in_use, NativeGradients)
     assert isinstance(gradients_of(both[1]), AutogradGradients)
     assert type(loss_of(both[0])) is SACLoss
     batch = transitions(size)
     batch["next", "terminated"][::5] = True
     batch["steps_to_next_obs"][::3] = 3
-    (mine, told), (expected, defined) = [found_by(agent, batch) for agent in both]
-    assert told == pytest.approx(defined, rel=1e-5)
-    for gradient, reference in zip(mine, expected, strict=True):
+    (native, numbers), (torchrl, expected) = [
+        gradients_and_losses(agent, batch) for agent in both
+    ]
+    assert numbers == pytest.approx(expected, rel=1e-5)
+    for gradient, reference in zip(native, torchrl, strict=True):
         assert reference.abs().max() > 0
         torch.testing.assert_close(gradient, reference, rtol=1e-4, atol=2e-6)
 
 
-def test_extreme_outputs_of_the_actor_keep_gradients_finite_and_right(
-    monkeypatch,
-) -> None:
-    both = native_and_defined(monkeypatch, replace(SMALL, batch_size=64))
+def test_extreme_outputs_of_the_actor_keep_gradients_finite_and_right() -> None:
+    both = native_and_torchrl(replace(SMALL, batch_size=64))
     extreme = torch.tensor([30, -30, 8, -9, 9, -40.0])
     for agent in both:
         agent.explorer.body[-1].bias.data.copy_(extreme)
-    (mine, _), (expected, _) = [found_by(agent, transitions(64)) for agent in both]
-    for gradient, reference in zip(mine, expected, strict=True):
+    (native, _), (torchrl, _) = [
+        gradients_and_losses(agent, transitions(64)) for agent in both
+    ]
+    for gradient, reference in zip(native, torchrl, strict=True):
         assert gradient.isfinite().all()
         torch.testing.assert_close(gradient, reference, rtol=1e-3, atol=1e-4)
 
 
 def test_threads_do_not_change_a_bit() -> None:
-    found = []
+    results = []
     for threads in (1, 2, 3):
         torch.manual_seed(0)
         agent = SAC(replace(SMALL, batch_size=500), SPACES, threads)
-        found.append(found_by(agent, transitions(500)))
-    for gradients, told in found[1:]:
-        assert told == found[0][1]
-        assert all(map(torch.equal, gradients, found[0][0]))
+        results.append(gradients_and_losses(agent, transitions(500)))
+    for gradients, numbers in results[1:]:
+        assert numbers == results[0][1]
+        assert all(map(torch.equal, gradients, results[0][0]))
 
 
-def test_an_agent_learns_alike_with_native_and_defined_gradients(monkeypatch) -> None:
-    both = native_and_defined(monkeypatch, replace(SMALL, batch_size=16))
+def test_an_agent_learns_alike_with_native_and_torchrl_gradients() -> None:
+    both = native_and_torchrl(replace(SMALL, batch_size=16))
     for agent in both:
         torch.manual_seed(0)
         for seed in range(6):
             agent.update(transitions(8, seed)[:, None])
-    mine, expected = [loss_of(agent).state_dict() for agent in both]
-    for name, value in mine.items():
+    native, expected = [loss_of(agent).state_dict() for agent in both]
+    for name, value in native.items():
         torch.testing.assert_close(value, expected[name], rtol=1e-3, atol=1e-5)
 
 

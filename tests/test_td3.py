@@ -109,16 +109,16 @@ def flat(agent: OffPolicy, part: str) -> Tensor:
 
 def test_td3s_actor_and_targets_move_at_every_actor_delay_th_update() -> None:
     agent, parts = td3(actor_delay=2), ("actor_net", "target_actor", "target_qvalue")
-    seen = [[flat(agent, part) for part in parts]]
+    states = [[flat(agent, part) for part in parts]]
     for _ in range(4):
         critics = flat(agent, "qvalue_net")
         agent._updates += 1
         agent._learn(rows())
         assert not torch.equal(critics, flat(agent, "qvalue_net"))
-        seen.append([flat(agent, part) for part in parts])
+        states.append([flat(agent, part) for part in parts])
     moved = [
         [not torch.equal(*both) for both in zip(*neighbours, strict=True)]
-        for neighbours in pairwise(seen)
+        for neighbours in pairwise(states)
     ]
     assert moved == [[False] * 3, [True] * 3] * 2
 
@@ -147,12 +147,12 @@ def test_dqn_regresses_on_the_value_of_the_best_bins(double: bool) -> None:
 
     following = batch["next", "observation"]
     later = values(loss.target_value_network_params, following)
-    judge = values(loss.value_network_params, following) if double else later
-    best = judge.argmax(-1, keepdim=True)
+    chooser = values(loss.value_network_params, following) if double else later
+    best = chooser.argmax(-1, keepdim=True)
     y = target(batch, later.gather(-1, best).sum(1)).detach()
     now = values(loss.value_network_params, batch["observation"])
-    mine = now.gather(-1, chosen.unsqueeze(-1)).sum(1)
-    torch.testing.assert_close(loss(batch)["loss"], (mine - y).square().mean())
+    value_now = now.gather(-1, chosen.unsqueeze(-1)).sum(1)
+    torch.testing.assert_close(loss(batch)["loss"], (value_now - y).square().mean())
 
 
 def test_the_value_of_bins_is_their_mean_about_a_common_one() -> None:
@@ -175,11 +175,11 @@ def test_bins_and_numbers_are_two_names_of_an_action() -> None:
 
 
 @pytest.mark.parametrize("make", [td3, dqn])
-def test_bursts_hold_the_grippers(make) -> None:
+def test_bursts_fix_the_gripper_of_a_fraction(make) -> None:
     policy = make(gripper_bursts=0.5).policy()
     action = policy(TensorDict({"observation": torch.randn(400, 5)}, [400]))["action"]
-    held = action[:, -1].abs() == 0.9
-    assert held.float().mean() == pytest.approx(0.5, abs=0.1)
+    forced = action[:, -1].abs() == 0.9
+    assert forced.float().mean() == pytest.approx(0.5, abs=0.1)
     assert (action[:, :-1].abs() != 0.9).all()
 
 

@@ -66,11 +66,11 @@ def test_a_step_gains_within_the_trust_region(max_kl: float) -> None:
         config = replace(SMALL, max_kl=max_kl)
         agent, samples = agent_and_samples(config, seed)
         before = agent._objective(samples)
-        told = agent._improve(samples)
+        logged = agent._improve(samples)
         old = Normal(samples["loc"], samples["scale"])
         new = Normal(*agent.actor(samples["observation"]))
         kl = kl_divergence(old, new).sum(-1).mean().item()
-        assert told["kl"] == pytest.approx(kl, rel=1e-3)
+        assert logged["kl"] == pytest.approx(kl, rel=1e-3)
         assert 0 < kl <= max_kl * 1.001
         assert agent._objective(samples) < before
 

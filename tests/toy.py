@@ -115,6 +115,7 @@ class Points(EnvBase):
             observation=Unbounded(one),
             success=flag,
             milestones=flag.clone(),
+            reward_terms=Unbounded(one),
             shape=one[:1],
         )
         ends = ("done", "terminated", "truncated")
@@ -144,6 +145,7 @@ class Points(EnvBase):
             "observation": self.x.clone(),
             "success": self.x.abs() < 0.1,
             "milestones": self.x > 0,
+            "reward_terms": 1 - self.x.abs(),
             "terminated": torch.zeros_like(truncated),
             "truncated": truncated,
             "done": truncated.clone(),

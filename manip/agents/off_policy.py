@@ -102,7 +102,7 @@ class OffPolicy(Agent):
     def extra_state(self, buffer: bool = True) -> dict[str, Any]:
         """Return the replay buffer and the counters."""
         return self._replay.state(buffer) | {
-            "seen": self._steps,
+            "steps": self._steps,
             "owed": self._owed,
             "updates": self._updates,
         }
@@ -114,7 +114,7 @@ class OffPolicy(Agent):
             ValueError: it is of a buffer of other sizes, or damaged.
         """
         self._replay.load_state(state)
-        self._steps, self._owed = int(state["seen"]), float(state["owed"])
+        self._steps, self._owed = int(state["steps"]), float(state["owed"])
         self._updates = int(state["updates"])
         if min(self._steps, self._updates) < 0 or not 0 <= self._owed < 1:
             raise ValueError("the checkpoint's counters are out of range")

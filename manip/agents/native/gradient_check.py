@@ -12,11 +12,12 @@ from torch import Tensor
 TOLERANCE = 1e-4
 """Relative difference allowed in each parameter's gradient and each reported number.
 
-float32 rounding stays below 3e-5 (200 initialisations; see tests/test_gradient_check).
+float32 rounding: at most 7e-5, and in 99 % below 7e-6, in 900 comparisons at the start
+of 600 runs; at most 1.5e-5 in 4,000 comparisons within runs, where two more met a kink.
 """
 
 FLOOR = 0.1
-"""Least norm that the differences of numbers, and of gradients in a run, are relative to.
+"""Least norm that differences of numbers, and of gradients in a run, are relative to.
 
 Sums of many rows may vanish, but their rounding errors do not.
 """
@@ -27,8 +28,8 @@ INTERVAL = 1000
 ATTEMPTS = 3
 """Batches that must all differ before native gradients are given up.
 
-A ReLU's input within rounding of 0, or a ratio within rounding of the clip range, makes
-a single batch differ; an error makes every batch differ.
+A kink makes a single batch differ: a ReLU's input within rounding of 0, equal critics,
+a ratio within rounding of the clip range. An error makes every batch differ.
 """
 
 GradientSource = Literal["native", "torchrl"]

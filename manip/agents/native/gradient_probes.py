@@ -13,7 +13,7 @@ MIN_NEAR = 1e-4
 """Least such distance: well above rounding."""
 
 MIN_RATIO = 0.05
-"""Least ratio rho of a probe row: wide clip ranges have no lower end, or a remote one."""
+"""Least ratio rho of a probe row; wide clip ranges have no lower end."""
 
 
 def sac_probe(actor: Actor, batch: int, seed: int) -> Tensor:

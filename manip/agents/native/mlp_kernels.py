@@ -13,27 +13,25 @@ d_x stands for the gradient of the loss by x.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from manip.agents.native.row_kernels import (
+    ONE,
+    ZERO,
+    add_bias,
+    normalise,
+    rectify,
+    saturate,
+    sum_rows,
+)
 from manip.compiled import fast_kernel
 
 Array = np.ndarray
 
 RELU, TANH, NORM_RELU = range(3)
 """Activations of hidden layers."""
-
-EPSILON = np.float32(1e-5)
-"""Added to the variance (torch.nn.LayerNorm's default)."""
-
-ZERO, HALF, ONE, TWO = (np.float32(x) for x in (0, 0.5, 1, 2))
-LOG2_E = np.float32(1 / np.log(2))
-LOG_2_HIGH = np.float32(355 / 512)
-LOG_2_LOW = np.float32(np.log(2) - 355 / 512)
-"""log 2 as a sum: k LOG_2_HIGH is exact in float32 (Cody and Waite 1980)."""
-LIMIT = np.float32(40)
-"""Largest |x| of `_exp`."""
 
 
 class Layout(NamedTuple):
@@ -91,7 +89,7 @@ def forward(params: Array, layout: Layout, x: Array, tape: Array, out: Array) ->
         bias = params[at : at + width]
         if k == last:
             np.dot(x, weight.T, out)  # out = x W^T + b
-            _add_to_rows(out, bias)
+            add_bias(out, bias)
             return
         to = layout.tape_at[k]
         z = _matrix(tape, to, rows, width)
@@ -101,11 +99,11 @@ def forward(params: Array, layout: Layout, x: Array, tape: Array, out: Array) ->
         if layout.activation == NORM_RELU:
             gain = params[at + width : at + 2 * width]
             shift = params[at + 2 * width : at + 3 * width]
-            _normalise(z, bias, gain, shift, deviation, y)
+            normalise(z, bias, gain, shift, deviation, y)
         elif layout.activation == RELU:
-            _rectify(z, bias, y)
+            rectify(z, bias, y)
         else:
-            _saturate(z, bias, y)
+            saturate(z, bias, y)
         x = y
 
 
@@ -133,7 +131,7 @@ def backward(
         below = x if k == 0 else _output(layout, tape, k - 1, len(x))
         np.dot(d_z.T, below, _matrix(grads, at, width, inputs))  # dW = d_z^T below
         at += width * inputs
-        _sum_rows(d_z, grads[at : at + width])  # db = sum over rows of d_z
+        sum_rows(d_z, grads[at : at + width])  # db = sum over rows of d_z
         if k > 0:
             d_y = _down(params, layout, tape, k, d_z, scratch[k % 2])
             if layout.activation == NORM_RELU:
@@ -191,79 +189,6 @@ def _output(layout: Layout, tape: Array, k: int, rows: int) -> Array:
     """Activation [rows, width] of hidden layer k, on the tape behind its z."""
     width = layout.widths[k + 1]
     return _matrix(tape, layout.tape_at[k] + rows * width, rows, width)
-
-
-@fast_kernel
-def _add_to_rows(out: Array, bias: Array) -> None:
-    for i in range(len(out)):
-        for j in range(len(bias)):
-            out[i, j] += bias[j]
-
-
-@fast_kernel
-def _sum_rows(values: Array, out: Array) -> None:
-    out[:] = 0
-    for i in range(len(values)):
-        for j in range(len(out)):
-            out[j] += values[i, j]
-
-
-@fast_kernel
-def _rectify(z: Array, bias: Array, y: Array) -> None:
-    for i in range(len(z)):
-        for j in range(len(bias)):
-            y[i, j] = max(ZERO, z[i, j] + bias[j])
-
-
-@fast_kernel
-def _saturate(z: Array, bias: Array, y: Array) -> None:
-    """y = tanh(z + bias) = 1 - 2 / (exp(2 (z + bias)) + 1); errors are below 1e-7."""
-    for i in range(len(z)):
-        for j in range(len(bias)):
-            y[i, j] = ONE - TWO / (_exp(TWO * (z[i, j] + bias[j])) + ONE)
-
-
-@fast_kernel
-def _exp(x: Any) -> Any:
-    """exp(x), x clipped to [-40, 40]; relative errors are below 2e-7.
-
-    exp(x) = 2^k exp(r) with k = round(x / log 2) and r = x - k log 2, |r| <= 0.35, by
-    exp's power series. Unlike np.exp, it is inlined, and loops of it are vectorised.
-    """
-    x = min(max(x, -LIMIT), LIMIT)
-    k = np.floor(x * LOG2_E + HALF)
-    r = (x - k * LOG_2_HIGH) - k * LOG_2_LOW
-    series = ONE  # 1 + r (1 + r/2 (1 + r/3 (...))), Horner's scheme
-    for n in (7, 6, 5, 4, 3, 2, 1):
-        series = ONE + series * r / np.float32(n)
-    # 2^k: k + 127 in the exponent's bits of a float32
-    return series * np.int32((np.int32(k) + 127) << 23).view(np.float32)
-
-
-@fast_kernel
-def _normalise(
-    z: Array, bias: Array, gain: Array, shift: Array, deviation: Array, y: Array
-) -> None:
-    """LayerNorm in place, z = (z + bias - mean) / deviation; then ReLU.
-
-    y = max(0, gain * z + shift); deviation [B] = sqrt(var + EPSILON) of each row.
-    """
-    width = np.float32(len(bias))
-    for i in range(len(z)):
-        row, out = z[i], y[i]
-        total, squares = ZERO, ZERO
-        for j in range(len(bias)):
-            row[j] += bias[j]
-            total += row[j]
-        mean = total / width
-        for j in range(len(bias)):
-            row[j] -= mean
-            squares += row[j] * row[j]
-        deviation[i] = np.sqrt(squares / width + EPSILON)
-        scale = ONE / deviation[i]
-        for j in range(len(bias)):
-            row[j] *= scale
-            out[j] = max(ZERO, row[j] * gain[j] + shift[j])
 
 
 @fast_kernel

@@ -151,7 +151,7 @@ class NativeGradients:
             log_std_at=sum(p.numel() for p in actor.body.parameters()),
             action_scale=actor.action_scale.numpy(),
             clip=self.clip,
-            critic_coefficient=float(loss.critic_coeff),
+            critic_coefficient=float(loss.critic_coeff or 0.0),  # None for 0
         )
         self._reserve(0)
 
