@@ -6,18 +6,19 @@ import numpy as np
 import torch
 
 
-def assert_same(found: Any, expected: Any) -> None:
-    assert type(found) is type(expected)
+def assert_same(actual: Any, expected: Any) -> None:
+    """Assert that two trees have the same types, shapes and bits."""
+    assert type(actual) is type(expected)
     if isinstance(expected, dict):
-        assert found.keys() == expected.keys()
+        assert actual.keys() == expected.keys()
         for key, value in expected.items():
-            assert_same(found[key], value)
+            assert_same(actual[key], value)
     elif isinstance(expected, list):
-        assert len(found) == len(expected)
-        for mine, value in zip(found, expected, strict=True):
-            assert_same(mine, value)
+        assert len(actual) == len(expected)
+        for pair in zip(actual, expected, strict=True):
+            assert_same(*pair)
     elif isinstance(expected, torch.Tensor | np.ndarray):
-        assert (found.dtype, found.shape) == (expected.dtype, expected.shape)
-        assert bool((found == expected).all())
+        assert (actual.dtype, actual.shape) == (expected.dtype, expected.shape)
+        assert bool((actual == expected).all())
     else:
-        assert found == expected
+        assert actual == expected

@@ -1,4 +1,4 @@
-"""The learners' benchmark: everybody does the same work, and arithmetic is counted."""
+"""The benchmark of learners: all do the same work, and operations are counted."""
 
 from dataclasses import replace
 
@@ -8,10 +8,10 @@ from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
 from manip.agents.networks import mlp
-from manip.benchmarks import arithmetic, learner_ours, learner_torchrl
 from manip.benchmarks import bench_learner as learner
+from manip.benchmarks import flop_counts, learner_manip, learner_torchrl
 from manip.benchmarks.bench_learner import PPO, SAC, figures, operations
-from manip.benchmarks.problem import Problem, transitions
+from manip.benchmarks.learner_problem import Problem, transitions
 
 TINY = Problem(
     hidden=(8, 8),
@@ -20,7 +20,7 @@ TINY = Problem(
     batch=16,
     stored=64,
     updates=4,
-    worlds=4,
+    num_envs=4,
     length=8,
     minibatch=16,
     epochs=2,
@@ -35,18 +35,18 @@ def counted(run) -> float:
 
 def test_forward_is_what_pytorch_counts() -> None:
     net, rows = mlp(5, 3, (8, 6)), torch.randn(16, 5)
-    assert counted(lambda: net(rows)) == arithmetic.forward((5, 8, 6, 3), 16)
+    assert counted(lambda: net(rows)) == flop_counts.forward((5, 8, 6, 3), 16)
 
 
 def test_a_ppo_epoch_is_what_pytorch_counts() -> None:
     actor, critic = mlp(5, 2, (8, 8)), mlp(5, 1, (8, 8))
     rows = torch.randn(32, 5)
-    found = counted(lambda: (actor(rows).sum() + critic(rows).sum()).backward())
-    assert found == arithmetic.ppo_epoch(5, 2, (8, 8), 32)
+    values = counted(lambda: (actor(rows).sum() + critic(rows).sum()).backward())
+    assert values == flop_counts.ppo_epoch(5, 2, (8, 8), 32)
 
 
 def sac_by_hand(rows: int) -> None:
-    """Every product that SAC's losses ask for, and no other."""
+    """Every matrix product of SAC's losses, and no other."""
     actor, critics = mlp(5, 4, (8, 8)), [mlp(7, 1, (8, 8)) for _ in range(2)]
     states, actions = torch.randn(rows, 5), torch.randn(rows, 2)
     with torch.no_grad():
@@ -71,23 +71,23 @@ def _split(critic: nn.Sequential, states: torch.Tensor, actions: torch.Tensor):
 
 def test_a_sac_update_is_what_pytorch_counts() -> None:
     sizes = (5, 2, (8, 8), 16)
-    both, delayed = (arithmetic.sac_update(*sizes, delay) for delay in (1, 2))
+    both, delayed = (flop_counts.sac_update(*sizes, delay) for delay in (1, 2))
     assert counted(lambda: sac_by_hand(16)) == both
     assert both / 2 < delayed < both
 
 
-def test_the_peak_is_of_this_machine(monkeypatch) -> None:
-    monkeypatch.setattr(arithmetic, "PRODUCTS", ((64, 64, 64),))
+def test_the_peak_is_measured_on_one_thread(monkeypatch) -> None:
+    monkeypatch.setattr(flop_counts, "PRODUCTS", ((64, 64, 64),))
     threads = torch.get_num_threads()
-    assert 1e8 < arithmetic.core_peak(seconds=0.01) < 1e13
+    assert 1e8 < flop_counts.core_peak(seconds=0.01) < 1e13
     assert torch.get_num_threads() == threads
 
 
-def test_experience_ends_by_time_only() -> None:
-    found = transitions(TINY, 50, 40)["next"]
-    assert 0 < found["done"].float().mean() < 0.1
-    assert torch.equal(found["done"], found["truncated"])
-    assert not found["terminated"].any()
+def test_episodes_end_at_their_time_limit_only() -> None:
+    values = transitions(TINY, 50, 40)["next"]
+    assert 0 < values["done"].float().mean() < 0.1
+    assert torch.equal(values["done"], values["truncated"])
+    assert not values["terminated"].any()
 
 
 def weights(agent) -> torch.Tensor:
@@ -95,44 +95,48 @@ def weights(agent) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_ours_updates_as_often_as_it_says(threads: int, monkeypatch) -> None:
-    made = []
-    keep = learner_ours.SAC.__init__
+def test_manip_makes_the_number_of_updates_that_it_returns(
+    threads: int, monkeypatch
+) -> None:
+    agents = []
+    original = learner_manip.SAC.__init__
 
-    def kept(agent, *arguments):
-        keep(agent, *arguments)
-        made.append(agent)
+    def recording(agent, *arguments):
+        original(agent, *arguments)
+        agents.append(agent)
 
-    monkeypatch.setattr(learner_ours.SAC, "__init__", kept)
-    go = learner_ours.sac(TINY, threads, actor_delay=1)
-    (agent,) = made
+    monkeypatch.setattr(learner_manip.SAC, "__init__", recording)
+    run = learner_manip.sac(TINY, threads, actor_delay=1)
+    (agent,) = agents
     assert agent.extra_state()["updates"] == 0
     before = weights(agent)
-    assert go() == TINY.updates == agent.extra_state()["updates"]
+    assert run() == TINY.updates == agent.extra_state()["updates"]
     assert (weights(agent) != before).any()
-    assert go() == TINY.updates
+    assert run() == TINY.updates
     assert agent.extra_state()["updates"] == 2 * TINY.updates
 
 
-def test_our_ppo_makes_its_passes() -> None:
-    go = learner_ours.ppo(TINY, 1)
-    assert [go(), go()] == [TINY.epochs] * 2
+def test_manips_ppo_makes_its_epochs() -> None:
+    run = learner_manip.ppo(TINY, 1)
+    assert [run(), run()] == [TINY.epochs] * 2
 
 
-def test_the_plain_script_learns() -> None:
+def test_the_torchrl_script_learns() -> None:
     assert learner_torchrl.sac(TINY)(1) == TINY.updates
-    go = learner_torchrl.ppo(TINY)
-    assert [go(1), go(1)] == [TINY.epochs] * 2
+    run = learner_torchrl.ppo(TINY)
+    assert [run(1), run(1)] == [TINY.epochs] * 2
 
 
-def test_stable_baselines_does_its_updates() -> None:
+def test_stable_baselines3_makes_its_updates() -> None:
     sb3 = pytest.importorskip("manip.benchmarks.learner_sb3", exc_type=ImportError)
     assert sb3.sac(TINY)(1) == TINY.updates
-    go = sb3.ppo(TINY)
-    assert [go(1), go(1)] == [TINY.epochs] * 2
+    run = sb3.ppo(TINY)
+    assert [run(1), run(1)] == [TINY.epochs] * 2
 
 
-def test_figures_take_the_best_of_everybody_and_the_least_of_nets(monkeypatch) -> None:
+def test_figures_use_the_best_threads_and_the_lowest_ratio_of_networks(
+    monkeypatch,
+) -> None:
     monkeypatch.setattr(learner, "usable_cpus", lambda: 2)
     small, large = TINY, replace(TINY, hidden=(16, 16))
     medians = {"manip": (3, 6), "SB3": (2, 1), "TorchRL script": (1, 1)}
@@ -144,10 +148,10 @@ def test_figures_take_the_best_of_everybody_and_the_least_of_nets(monkeypatch) -
         for threads, speed in zip((1, 2), speeds, strict=True)
     }
     rounds[learner._name(SAC, large, "SB3", 1)] = [2.0] * 3
-    found = figures(rounds, (small, large), core_peak=1e6)
-    assert found["sac_updates_vs_sb3_2x8"] == 3
-    assert found["sac_updates_vs_sb3_2x16"] == 1.5 == found["sac_updates_vs_sb3"]
-    assert found["ppo_epoch_vs_sb3"] == 3
-    assert found["ppo_epoch_vs_torchrl"] == 6
+    values = figures(rounds, (small, large), core_peak=1e6)
+    assert values["sac_updates_vs_sb3_2x8"] == 3
+    assert values["sac_updates_vs_sb3_2x16"] == 1.5 == values["sac_updates_vs_sb3"]
+    assert values["ppo_epoch_vs_sb3"] == 3
+    assert values["ppo_epoch_vs_torchrl"] == 6
     share = 6 * operations(small, PPO) / 2e6
-    assert found["ppo_epoch_share_of_peak_2x8"] == pytest.approx(share)
+    assert values["ppo_epoch_share_of_peak_2x8"] == pytest.approx(share)

@@ -1,1 +1,1 @@
-"""Benchmarks: one file each, all held as contests whose contestants take turns."""
+"""Benchmarks: one file each; all candidates of a benchmark are measured in turns."""

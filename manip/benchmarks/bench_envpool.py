@@ -1,9 +1,9 @@
-"""EnvPool's PandaPickCube at our control rate: a neighbour in physics throughput.
+"""Compare with EnvPool's PandaPickCube at the same control rate.
 
-Another scene and another control law (joint targets): it tells what a C++ simulator
-of a Panda and a cube reaches, not who is better. Both take ten 5 ms substeps a control
-step; on top, EnvPool computes observations and rewards in C++, which our environment
-computes in numpy.
+Scene and control law (joint targets) differ: the comparison shows what a C++ simulator
+of a Panda and a cube reaches, not which is better. Both take ten substeps of 5 ms per
+control step. EnvPool also computes observations and rewards in C++, as the TorchRL
+environment does in NumPy.
 """
 
 from collections.abc import Callable
@@ -12,8 +12,13 @@ from typing import Any
 import numpy as np
 
 from manip.benchmarks.bench_env import random_steps
-from manip.benchmarks.contest import Contest, Settings, speed
-from manip.benchmarks.task_envs import STEPS_A_ROUND, repeats, scene_of, started
+from manip.benchmarks.engine_steps import (
+    engine_at_start,
+    repeated_steps,
+    scene_of,
+    steps_per_env,
+)
+from manip.benchmarks.rounds import Comparison, Settings, speed
 from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.make_batch import make_batch
@@ -22,55 +27,48 @@ from manip.errors import UserError
 TASK = "PandaPickCube-v1"
 
 
-def contest(settings: Settings) -> Contest:
-    """EnvPool, our engine and our environment, fast fidelity, on all threads."""
-    peer = _peer(settings.worlds)
-    scene = scene_of(settings.task, "fast")
-    engine = started(settings.task, scene, settings.worlds, usable_cpus())
-    env = TaskEnv(make_batch(settings.task, settings.worlds, scene=scene))
-    return Contest(
-        f"{settings.worlds} worlds, {usable_cpus()} threads, 20 Hz in 5 ms substeps",
-        {
-            f"EnvPool {TASK}": speed(_peer_steps(peer, settings.worlds)),
-            f"engine, fast, {settings.task}": speed(repeats(engine)),
-            f"TorchRL environment, fast, {settings.task}": speed(random_steps(env)),
-        },
+def comparison(settings: Settings) -> Comparison:
+    """Compare EnvPool, engine and environment, fast fidelity, on all CPUs."""
+    task, num_envs, cpus = settings.task, settings.num_envs, usable_cpus()
+    envpool_env = _make_envpool(num_envs)
+    scene = scene_of(task, "fast")
+    engine = engine_at_start(task, scene, num_envs, cpus)
+    env = TaskEnv(make_batch(task, num_envs, scene=scene))
+    names = f"EnvPool {TASK}", f"engine, fast, {task}", f"TorchRL env, fast, {task}"
+    runs = _envpool_steps(envpool_env, num_envs), repeated_steps(engine)
+    return Comparison(
+        f"{num_envs} environments, {cpus} threads, 20 Hz in 5 ms substeps",
+        dict(zip(names, map(speed, (*runs, random_steps(env))), strict=True)),
         ratios={
-            "fast_engine_vs_envpool": (
-                f"engine, fast, {settings.task}",
-                f"EnvPool {TASK}",
-            ),
-            "fast_env_vs_envpool": (
-                f"TorchRL environment, fast, {settings.task}",
-                f"EnvPool {TASK}",
-            ),
+            "fast_engine_vs_envpool": (names[1], names[0]),
+            "fast_env_vs_envpool": (names[2], names[0]),
         },
     )
 
 
-def _peer(worlds: int) -> Any:
+def _make_envpool(num_envs: int) -> Any:
     try:
         import envpool
     except ImportError as error:
         raise UserError(
-            f"`manip benchmark envpool` needs EnvPool ({error}): install the extra, "
+            f"`manip benchmark envpool` needs EnvPool ({error}): install it with "
             "`make peers`"
         ) from error
-    threads = min(worlds, usable_cpus())
+    threads = min(num_envs, usable_cpus())
     return envpool.make_gym(
-        TASK, num_envs=worlds, num_threads=threads, ctrl_dt=0.05, sim_dt=0.005
+        TASK, num_envs=num_envs, num_threads=threads, ctrl_dt=0.05, sim_dt=0.005
     )
 
 
-def _peer_steps(env: Any, worlds: int) -> Callable[[], int]:
-    steps = max(2, STEPS_A_ROUND // worlds)
+def _envpool_steps(env: Any, num_envs: int) -> Callable[[], int]:
+    steps = steps_per_env(num_envs)
     rng = np.random.default_rng(0)
-    shape = worlds, *env.action_space.shape
+    shape = num_envs, *env.action_space.shape
     env.reset()
 
-    def go() -> int:
+    def run() -> int:
         for _ in range(steps):
             env.step(rng.uniform(-1, 1, shape).astype(np.float32))
-        return steps * worlds
+        return steps * num_envs
 
-    return go
+    return run

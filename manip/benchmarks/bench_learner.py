@@ -1,11 +1,12 @@
-"""SAC updates and PPO epochs a second, against other libraries.
+"""SAC updates and PPO epochs per second, compared with other libraries.
 
-Same nets, batch and buffer for all, filled with random transitions; everybody on one
-thread and on all CPUs, and the better of both counts in the ratios. A SAC update moves
-critics, actor, temperature and targets; our critics have LayerNorm, the others' have
-not, and only ours can delay the actor, as it does by default (a contestant of its own,
-in no ratio). An epoch of PPO is a pass over 4096 steps in minibatches of 512, with its
-share of the rollout's actions, values and advantages.
+Network sizes, batch and buffer are the same for all, and the data is random. Each
+learner runs on one thread and on all CPUs, and the better of both enters the ratios. A
+SAC update trains critics, actor and temperature and moves the target networks. manip's
+critics have LayerNorm, the others' do not. Only manip can delay the actor (its
+default): that is a candidate of its own and enters no ratio. A PPO epoch is a pass over
+4096 steps in minibatches of 512, with its share of the rollout's actions, values and
+advantages.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,126 +15,143 @@ from functools import partial
 import numpy as np
 
 from manip.agents.sac import SACConfig
-from manip.benchmarks import arithmetic, learner_ours, learner_torchrl
-from manip.benchmarks.contest import Contest, Contestant, Settings, speed
-from manip.benchmarks.peers import peer
-from manip.benchmarks.problem import Problem
+from manip.benchmarks import flop_counts, learner_manip, learner_torchrl
+from manip.benchmarks.learner_problem import Problem
+from manip.benchmarks.peers import import_peer
+from manip.benchmarks.rounds import Candidate, Comparison, Settings, speed
 from manip.cpus import usable_cpus
 
 Rounds = Mapping[str, list[float]]
 Maker = Callable[[Problem], Callable[[int], int]]
-"""Makes a learner of a peer: a function of the number of threads, for a round."""
+"""Builds a learner of another library: a function of the number of threads."""
 
 PROBLEMS = (Problem(hidden=(128, 128)), Problem(hidden=(256, 256)))
 
 SAC, PPO = "SAC", "PPO"
-OURS, SB3, TORCHRL = "manip", "SB3", "TorchRL script"
+MANIP, SB3, TORCHRL = "manip", "SB3", "TorchRL script"
 
 FIGURES = {SAC: "sac_updates", PPO: "ppo_epoch"}
 VERSUS = {SB3: "vs_sb3", TORCHRL: "vs_torchrl"}
 
 
-def contest(settings: Settings) -> Contest:
-    """Everybody's SAC and PPO, with two sizes of net."""
-    sb3 = peer("learner_sb3")
-    peers = {
-        (SAC, SB3): sb3.sac,
-        (PPO, SB3): sb3.ppo,
-        (SAC, TORCHRL): learner_torchrl.sac,
-        (PPO, TORCHRL): learner_torchrl.ppo,
-    }
-    peak = arithmetic.core_peak()
-    contestants: dict[str, Contestant] = {}
+def comparison(settings: Settings) -> Comparison:
+    """Compare SAC and PPO of all libraries, with two network sizes."""
+    makers = _makers()
+    peak = flop_counts.core_peak()
+    candidates: dict[str, Candidate] = {}
     facts = {"core_peak_gflops": peak / 1e9}
     for problem in PROBLEMS:
-        contestants |= _ours(problem) | _theirs(problem, peers)
-        for what in FIGURES:
-            cost = operations(problem, what) / 1e9
-            facts[f"{FIGURES[what]}_gflop_{_net(problem)}"] = cost
-    return Contest(
+        candidates |= _manip(problem) | _others(problem, makers)
+        facts |= _gflop(problem)
+    return Comparison(
         "observation 44, action 7, SAC batch 256, PPO 4096 steps by 512",
-        contestants,
+        candidates,
         facts=facts,
         derive=partial(figures, problems=PROBLEMS, core_peak=peak),
         unit="updates or epochs/s",
     )
 
 
-def operations(problem: Problem, what: str) -> float:
-    """Operations of an update or an epoch; see `arithmetic`."""
+def _makers() -> dict[tuple[str, str], Maker]:
+    sb3 = import_peer("learner_sb3")
+    return {
+        (SAC, SB3): sb3.sac,
+        (PPO, SB3): sb3.ppo,
+        (SAC, TORCHRL): learner_torchrl.sac,
+        (PPO, TORCHRL): learner_torchrl.ppo,
+    }
+
+
+def _gflop(problem: Problem) -> dict[str, float]:
+    return {
+        f"{figure}_gflop_{_net(problem)}": operations(problem, algo) / 1e9
+        for algo, figure in FIGURES.items()
+    }
+
+
+def operations(problem: Problem, algo: str) -> float:
+    """Operations of an update or an epoch; see `flop_counts`."""
     sizes = (problem.observation, problem.action, problem.hidden)
-    if what == PPO:
-        return arithmetic.ppo_epoch(*sizes, problem.rows)
-    return arithmetic.sac_update(*sizes, problem.batch)
+    if algo == PPO:
+        return flop_counts.ppo_epoch(*sizes, problem.rows)
+    return flop_counts.sac_update(*sizes, problem.batch)
 
 
 def figures(
     rounds: Rounds, problems: tuple[Problem, ...], core_peak: float
 ) -> dict[str, float]:
-    """Ratios to the peers, and our share of the matrix peak, by net and the least."""
-    found: dict[str, float] = {}
-    for what, figure in FIGURES.items():
-        for who, versus in VERSUS.items():
-            ratios = [_ratio(rounds, what, problem, who) for problem in problems]
-            found[f"{figure}_{versus}"] = min(ratios)
-            for problem, ratio in zip(problems, ratios, strict=True):
-                found[f"{figure}_{versus}_{_net(problem)}"] = ratio
+    """Ratios to the other libraries (and their minimum over networks), peak fractions.
+
+    Args:
+        rounds: candidate -> updates or epochs per second, of each round.
+        problems: network sizes.
+        core_peak: operations per second of a core.
+    """
+    values: dict[str, float] = {}
+    for algo, figure in FIGURES.items():
+        for library, versus in VERSUS.items():
+            ratios = {_net(p): _ratio(rounds, algo, p, library) for p in problems}
+            values[f"{figure}_{versus}"] = min(ratios.values())
+            values |= {f"{figure}_{versus}_{net}": r for net, r in ratios.items()}
         for problem in problems:
-            share = _share(rounds, what, problem, core_peak)
-            found[f"{figure}_share_of_peak_{_net(problem)}"] = share
-    return found
+            fraction = _fraction_of_peak(rounds, algo, problem, core_peak)
+            values[f"{figure}_share_of_peak_{_net(problem)}"] = fraction
+    return values
 
 
-def _ratio(rounds: Rounds, what: str, problem: Problem, who: str) -> float:
-    """Our best against their best, median over the rounds."""
-    mine, theirs = (
-        rounds[_best(rounds, what, problem, name)[0]] for name in (OURS, who)
+def _ratio(rounds: Rounds, algo: str, problem: Problem, library: str) -> float:
+    """manip's best candidate over the library's best, median over the rounds."""
+    over, under = (
+        rounds[_best(rounds, algo, problem, name)[0]] for name in (MANIP, library)
     )
-    return float(np.median(np.divide(mine, theirs)))
+    return float(np.median(np.divide(over, under)))
 
 
-def _share(rounds: Rounds, what: str, problem: Problem, core_peak: float) -> float:
-    name, threads = _best(rounds, what, problem, OURS)
-    done = float(np.median(rounds[name])) * operations(problem, what)
-    return done / (core_peak * threads)
+def _fraction_of_peak(
+    rounds: Rounds, algo: str, problem: Problem, core_peak: float
+) -> float:
+    name, threads = _best(rounds, algo, problem, MANIP)
+    rate = float(np.median(rounds[name])) * operations(problem, algo)
+    return rate / (core_peak * threads)
 
 
-def _best(rounds: Rounds, what: str, problem: Problem, who: str) -> tuple[str, int]:
-    """The contestant with the number of threads that suits it best, and that number."""
-    names = {_name(what, problem, who, n): n for n in _thread_counts()}
+def _best(rounds: Rounds, algo: str, problem: Problem, library: str) -> tuple[str, int]:
+    """The faster candidate of a library, and its number of threads."""
+    names = {_name(algo, problem, library, n): n for n in _thread_counts()}
     best = max(names, key=lambda name: float(np.median(rounds[name])))
     return best, names[best]
 
 
-def _ours(problem: Problem) -> dict[str, Contestant]:
-    found: dict[str, Contestant] = {}
+def _manip(problem: Problem) -> dict[str, Candidate]:
+    candidates: dict[str, Candidate] = {}
     delay = SACConfig.actor_delay
     for threads in _thread_counts():
-        named = partial(_name, problem=problem, who=OURS, threads=threads)
-        found[named(SAC)] = speed(learner_ours.sac(problem, threads, actor_delay=1))
-        delayed = speed(learner_ours.sac(problem, threads, delay))
-        found[f"{named(SAC)}, actor delay {delay}"] = delayed
-        found[named(PPO)] = speed(learner_ours.ppo(problem, threads))
-    return found
+        sac, ppo = (_name(algo, problem, MANIP, threads) for algo in (SAC, PPO))
+        candidates[sac] = speed(learner_manip.sac(problem, threads, actor_delay=1))
+        delayed = learner_manip.sac(problem, threads, delay)
+        candidates[f"{sac}, actor delay {delay}"] = speed(delayed)
+        candidates[ppo] = speed(learner_manip.ppo(problem, threads))
+    return candidates
 
 
-def _theirs(
+def _others(
     problem: Problem, makers: Mapping[tuple[str, str], Maker]
-) -> dict[str, Contestant]:
-    found: dict[str, Contestant] = {}
-    for (what, who), make in makers.items():
-        go = make(problem)
+) -> dict[str, Candidate]:
+    candidates: dict[str, Candidate] = {}
+    for (algo, library), make in makers.items():
+        run = make(problem)
         for threads in _thread_counts():
-            found[_name(what, problem, who, threads)] = speed(partial(go, threads))
-    return found
+            name = _name(algo, problem, library, threads)
+            candidates[name] = speed(partial(run, threads))
+    return candidates
 
 
 def _thread_counts() -> tuple[int, ...]:
     return tuple(sorted({1, usable_cpus()}))
 
 
-def _name(what: str, problem: Problem, who: str, threads: int) -> str:
-    return f"{what} {_net(problem)}, {who}, {threads} thread{'s' * (threads > 1)}"
+def _name(algo: str, problem: Problem, library: str, threads: int) -> str:
+    return f"{algo} {_net(problem)}, {library}, {threads} thread{'s' * (threads > 1)}"
 
 
 def _net(problem: Problem) -> str:

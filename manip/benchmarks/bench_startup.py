@@ -1,4 +1,4 @@
-"""How long from the start of a process to its first control step."""
+"""Time from the start of a process to its first control step."""
 
 import os
 import subprocess
@@ -6,9 +6,10 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
-from manip.benchmarks.contest import Contest, Contestant, Settings
+from manip.benchmarks.rounds import Candidate, Comparison, Settings
 from manip.errors import UserError
 
 ENGINE = """
@@ -18,12 +19,12 @@ from manip.sim.batch_engine import BatchEngine
 from manip.sim.scene import load_scene
 task = load_task({task!r})
 scene = load_scene(task.robosuite_name, task.sensors)
-engine = BatchEngine(scene, {worlds})
-engine.step(np.zeros(({worlds}, scene.layout.action_dim)))
+engine = BatchEngine(scene, {num_envs})
+engine.step(np.zeros(({num_envs}, scene.layout.action_dim)))
 """
 ENVIRONMENT = """
 from manip.envs import TaskEnv, make_batch
-env = TaskEnv(make_batch({task!r}, {worlds}))
+env = TaskEnv(make_batch({task!r}, {num_envs}))
 state = env.reset()
 state["action"] = env.action_spec.zero()
 env.step_and_maybe_reset(state)
@@ -37,36 +38,43 @@ env.reset()
 env.step(np.zeros(env.action_dim))
 """
 IMPORT = "import manip.envs, manip.sim.batch_engine"
-"""Programs that end with their first control step; the last only imports."""
+PROGRAMS = {
+    "engine": ENGINE,
+    "TorchRL environment": ENVIRONMENT,
+    "stock robosuite": STOCK,
+}
+"""Programs that end with their first control step."""
+
+MEDIANS = {
+    "cold_first_step_s": "engine, cold",
+    "warm_first_step_s": "engine, warm",
+    "env_cold_first_step_s": "TorchRL environment, cold",
+    "env_warm_first_step_s": "TorchRL environment, warm",
+    "stock_cold_first_step_s": "stock robosuite, cold",
+    "stock_warm_first_step_s": "stock robosuite, warm",
+    "import_s": "import of the engine",
+}
+"""Figure -> candidate."""
 
 
-def contest(settings: Settings) -> Contest:
-    """Fresh processes; cold: nothing compiled is kept from before, robosuite's too."""
-    kept = Path(tempfile.mkdtemp(prefix="manip-startup-"))
-    contestants: dict[str, Contestant] = {}
-    for name, code in {
-        "engine": ENGINE,
-        "TorchRL environment": ENVIRONMENT,
-        "stock robosuite": STOCK,
-    }.items():
-        program = code.format(task=settings.task, worlds=settings.worlds)
-        cache = kept / name.replace(" ", "-")
-        contestants[f"{name}, cold"] = lambda p=program: _cold(p)  # type: ignore[misc]
-        contestants[f"{name}, warm"] = lambda p=program, c=cache: _warm(p, c)  # type: ignore[misc]
-    contestants["import of the engine"] = lambda: _seconds(IMPORT, kept / "engine")
-    return Contest(
-        f"{settings.task}, {settings.worlds} worlds: start of the process to the first "
-        "control step",
-        contestants,
-        medians={
-            "cold_first_step_s": "engine, cold",
-            "warm_first_step_s": "engine, warm",
-            "env_cold_first_step_s": "TorchRL environment, cold",
-            "env_warm_first_step_s": "TorchRL environment, warm",
-            "stock_cold_first_step_s": "stock robosuite, cold",
-            "stock_warm_first_step_s": "stock robosuite, warm",
-            "import_s": "import of the engine",
-        },
+def comparison(settings: Settings) -> Comparison:
+    """Compare new processes with cold and warm caches of compiled code.
+
+    A cold cache is empty, also for robosuite's own compiled functions.
+    """
+    caches = Path(tempfile.mkdtemp(prefix="manip-startup-"))
+    candidates: dict[str, Candidate] = {}
+    for name, code in PROGRAMS.items():
+        program = code.format(task=settings.task, num_envs=settings.num_envs)
+        cache = caches / name.replace(" ", "-")
+        candidates[f"{name}, cold"] = partial(_cold, program)
+        candidates[f"{name}, warm"] = partial(_warm, program, cache)
+    candidates["import of the engine"] = partial(_seconds, IMPORT, caches / "engine")
+    return Comparison(
+        f"{settings.task}, {settings.num_envs} environments: from the start of the "
+        "process to the first control step",
+        candidates,
+        medians=MEDIANS,
         unit="seconds",
         warm_up=False,
     )
@@ -86,19 +94,19 @@ def _warm(program: str, cache: Path) -> float:
 def _seconds(program: str, cache: Path) -> float:
     """Wall time of a Python process that runs `program`, without its exit."""
     code = f"{program}\nimport time; print('done', time.time())"
-    began = time.time()
-    done = subprocess.run(
+    start = time.time()
+    process = subprocess.run(
         [sys.executable, "-c", code],
         env=_environment(cache),
         capture_output=True,
         text=True,
         check=False,
     )
-    last = done.stdout.splitlines()[-1:] or [""]
-    if done.returncode or not last[0].startswith("done "):
-        why = done.stderr.strip().splitlines()[-1:]
-        raise UserError(f"a start failed: {''.join(why)}")
-    return float(last[0].removeprefix("done ")) - began
+    last = process.stdout.splitlines()[-1:] or [""]
+    if process.returncode or not last[0].startswith("done "):
+        reason = "".join(process.stderr.strip().splitlines()[-1:])
+        raise UserError(f"a process that measures start-up failed: {reason}")
+    return float(last[0].removeprefix("done ")) - start
 
 
 def _environment(cache: Path) -> Mapping[str, str]:

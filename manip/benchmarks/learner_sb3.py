@@ -1,6 +1,7 @@
-"""Stable-Baselines3 as it comes: its SAC.train and PPO.train, on filled buffers."""
+"""Stable-Baselines3's own SAC.train and PPO.train, on filled buffers."""
 
 from collections.abc import Callable
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -11,26 +12,26 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
-from manip.benchmarks.problem import GAMMA, Problem, transitions
+from manip.benchmarks.learner_problem import GAMMA, Problem, transitions
 
 
-class _Nothing(gymnasium.Env):
-    """Spaces of the problem's sizes; nobody steps it."""
+class _SpacesOnly(gymnasium.Env):
+    """An environment that is never stepped: it has the problem's spaces."""
 
     def __init__(self, problem: Problem) -> None:
         self.observation_space = Box(-np.inf, np.inf, (problem.observation,))
         self.action_space = Box(-1.0, 1.0, (problem.action,))
 
 
-def _worlds(problem: Problem) -> DummyVecEnv:
-    return DummyVecEnv([lambda: _Nothing(problem)] * problem.worlds)
+def _envs(problem: Problem) -> DummyVecEnv:
+    return DummyVecEnv([lambda: _SpacesOnly(problem)] * problem.num_envs)
 
 
 def sac(problem: Problem) -> Callable[[int], int]:
-    """SAC.train: twin critics and the actor at every update, as SB3 always does."""
+    """SAC.train, which updates twin critics and the actor at every update."""
     learner = SAC(
         "MlpPolicy",
-        _worlds(problem),
+        _envs(problem),
         gamma=GAMMA,
         batch_size=problem.batch,
         buffer_size=problem.stored,
@@ -40,35 +41,34 @@ def sac(problem: Problem) -> Callable[[int], int]:
     learner.set_logger(configure(None, []))
     _fill(learner.replay_buffer, problem)
 
-    def go(threads: int) -> int:
+    def run(threads: int) -> int:
         torch.set_num_threads(threads)
         learner.train(problem.updates, problem.batch)
         return problem.updates
 
-    return go
+    return run
 
 
-def _fill(buffer: object, problem: Problem) -> None:
-    steps = problem.stored // problem.worlds
-    found = transitions(problem, problem.worlds, steps)
-    after = found["next"]
-    infos: list[dict[str, object]] = [{}] * problem.worlds
-    for t in range(steps):
+def _fill(buffer: Any, problem: Problem) -> None:
+    batch = transitions(problem, problem.num_envs, problem.stored_length)
+    after = batch["next"]
+    infos: list[dict[str, object]] = [{}] * problem.num_envs
+    for t in range(problem.stored_length):
         parts = (
-            found["observation"][:, t],
+            batch["observation"][:, t],
             after["observation"][:, t],
-            found["action"][:, t],
+            batch["action"][:, t],
             after["reward"][:, t, 0],
             after["terminated"][:, t, 0],
         )
-        buffer.add(*(part.numpy() for part in parts), infos)  # type: ignore[attr-defined]
+        buffer.add(*(part.numpy() for part in parts), infos)
 
 
 def ppo(problem: Problem) -> Callable[[int], int]:
-    """GAE and PPO.train, after the rollout's actions, values and log-probabilities."""
+    """PPO.train, after the rollout's actions, values, log-probabilities and GAE."""
     learner = PPO(
         "MlpPolicy",
-        _worlds(problem),
+        _envs(problem),
         gamma=GAMMA,
         n_steps=problem.length,
         batch_size=problem.minibatch,
@@ -77,41 +77,32 @@ def ppo(problem: Problem) -> Callable[[int], int]:
         device="cpu",
     )
     learner.set_logger(configure(None, []))
-    found = transitions(problem, problem.length, problem.worlds)
+    rollout = transitions(problem, problem.length, problem.num_envs)
 
-    def go(threads: int) -> int:
+    def run(threads: int) -> int:
         torch.set_num_threads(threads)
-        _roll_out(learner, found)
+        _fill_rollout(learner, rollout)
         learner.train()
         return problem.epochs
 
-    return go
+    return run
 
 
 @torch.no_grad()
-def _roll_out(learner: PPO, found: object) -> None:
-    """Fill the rollout buffer with what the policy would do now."""
-    seen = found["observation"]  # type: ignore[index]
+def _fill_rollout(learner: PPO, rollout: Any) -> None:
+    """Fill the rollout buffer with the current policy's actions and values."""
+    observations = rollout["observation"]
     rewards, ends = (
-        found["next", key].squeeze(-1).numpy()  # type: ignore[index]
-        for key in ("reward", "done")
+        rollout["next", key].squeeze(-1).numpy() for key in ("reward", "done")
     )
-    actions, values, log_probs = learner.policy(seen.flatten(0, 1))
-    length, worlds = seen.shape[:2]
-    actions, values, log_probs = (
-        part.view(length, worlds, -1) for part in (actions, values, log_probs)
-    )
+    shape = observations.shape[:2]
+    outputs = learner.policy(observations.flatten(0, 1))
+    actions, values, log_probs = (part.view(*shape, -1) for part in outputs)
     buffer = learner.rollout_buffer
     buffer.reset()
-    starts = np.ones(worlds)
-    for t in range(length):
-        buffer.add(
-            seen[t].numpy(),
-            actions[t].numpy(),
-            rewards[t],
-            starts,
-            values[t],
-            log_probs[t, :, 0],
-        )
+    starts = np.ones(shape[1])
+    for t in range(shape[0]):
+        step = observations[t].numpy(), actions[t].numpy(), rewards[t], starts
+        buffer.add(*step, values[t], log_probs[t, :, 0])
         starts = ends[t]
     buffer.compute_returns_and_advantage(values[-1], ends[-1])

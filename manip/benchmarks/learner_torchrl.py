@@ -1,7 +1,7 @@
-"""A plain TorchRL script, put together the way its documentation does.
+"""SAC and PPO in TorchRL, written as in its documentation.
 
-Loss modules, target updater, replay buffers and Adam from the library, one call after
-the other; nothing compiled, nothing fused.
+Loss modules, target updater and replay buffers are the library's, Adam is PyTorch's.
+Nothing is compiled or fused.
 """
 
 from collections.abc import Callable
@@ -26,11 +26,38 @@ from torchrl.modules import (
 from torchrl.objectives import ClipPPOLoss, SACLoss, SoftUpdate
 from torchrl.objectives.value import GAE
 
-from manip.benchmarks.problem import GAMMA, Problem, transitions
+from manip.benchmarks.learner_problem import GAMMA, Problem, transitions
 
 
 def sac(problem: Problem) -> Callable[[int], int]:
     """SACLoss with SoftUpdate and an Adam each for actor, critics and temperature."""
+    loss = _sac_loss(problem)
+    targets = SoftUpdate(loss, tau=0.005)
+    optimisers = _optimisers(loss)
+    buffer = TensorDictReplayBuffer(
+        storage=LazyTensorStorage(problem.stored), batch_size=problem.batch
+    )
+    batch = transitions(problem, problem.num_envs, problem.stored_length)
+    buffer.extend(batch.reshape(-1))
+
+    def update() -> None:
+        terms = loss(buffer.sample())
+        for name, optimiser in optimisers.items():
+            optimiser.zero_grad()
+            terms[f"loss_{name}"].backward()
+            optimiser.step()
+        targets.step()
+
+    def run(threads: int) -> int:
+        torch.set_num_threads(threads)
+        for _ in range(problem.updates):
+            update()
+        return problem.updates
+
+    return run
+
+
+def _sac_loss(problem: Problem) -> SACLoss:
     loss = SACLoss(
         _actor(problem, TanhNormal, nn.ReLU, Split(), 2 * problem.action),
         _critic(problem, nn.ReLU, problem.observation + problem.action),
@@ -39,49 +66,29 @@ def sac(problem: Problem) -> Callable[[int], int]:
         loss_function="l2",
     )
     loss.make_value_estimator(gamma=GAMMA)
-    targets = SoftUpdate(loss, tau=0.005)
-    groups = (loss.actor_network_params, loss.qvalue_network_params)
-    optimisers = [Adam(list(group.flatten_keys().values()), 3e-4) for group in groups]
-    optimisers.append(Adam([loss.log_alpha], 3e-4))
-    buffer = TensorDictReplayBuffer(
-        storage=LazyTensorStorage(problem.stored), batch_size=problem.batch
-    )
-    found = transitions(problem, problem.worlds, problem.stored // problem.worlds)
-    buffer.extend(found.reshape(-1))
+    return loss
 
-    def update() -> None:
-        terms = loss(buffer.sample())
-        for name, optimiser in zip(
-            ("actor", "qvalue", "alpha"), optimisers, strict=True
-        ):
-            optimiser.zero_grad()
-            terms[f"loss_{name}"].backward()
-            optimiser.step()
-        targets.step()
 
-    def go(threads: int) -> int:
-        torch.set_num_threads(threads)
-        for _ in range(problem.updates):
-            update()
-        return problem.updates
-
-    return go
+def _optimisers(loss: SACLoss) -> dict[str, Adam]:
+    """Name of a loss -> the optimiser of its parameters."""
+    groups = {
+        "actor": loss.actor_network_params.flatten_keys().values(),
+        "qvalue": loss.qvalue_network_params.flatten_keys().values(),
+        "alpha": [loss.log_alpha],
+    }
+    return {name: Adam(list(values), 3e-4) for name, values in groups.items()}
 
 
 def ppo(problem: Problem) -> Callable[[int], int]:
     """GAE and ClipPPOLoss, minibatches from a replay buffer without replacement."""
-    spread = AddStateIndependentNormalScale(problem.action)
-    actor = _actor(problem, IndependentNormal, nn.Tanh, spread, problem.action)
+    scale = AddStateIndependentNormalScale(problem.action)
+    actor = _actor(problem, IndependentNormal, nn.Tanh, scale, problem.action)
     critic = _critic(problem, nn.Tanh, problem.observation)
     loss = ClipPPOLoss(actor, critic, normalize_advantage=True, entropy_coeff=0.0)
     advantage = GAE(gamma=GAMMA, lmbda=0.95, value_network=critic)
     optimiser = Adam(loss.parameters(), 3e-4, eps=1e-5)
-    buffer = TensorDictReplayBuffer(
-        storage=LazyTensorStorage(problem.rows),
-        sampler=SamplerWithoutReplacement(),
-        batch_size=problem.minibatch,
-    )
-    rollout = transitions(problem, problem.worlds, problem.length)
+    buffer = _minibatches(problem)
+    rollout = transitions(problem, problem.num_envs, problem.length)
 
     def update(batch: object) -> None:
         terms = loss(batch)
@@ -90,17 +97,25 @@ def ppo(problem: Problem) -> Callable[[int], int]:
         nn.utils.clip_grad_norm_(loss.parameters(), 0.5)
         optimiser.step()
 
-    def go(threads: int) -> int:
+    def run(threads: int) -> int:
         torch.set_num_threads(threads)
         with torch.no_grad():
-            found = advantage(actor(rollout.clone()))
-        buffer.extend(found.reshape(-1))
+            steps = advantage(actor(rollout.clone()))
+        buffer.extend(steps.reshape(-1))
         for _ in range(problem.epochs):
             for batch in buffer:
                 update(batch)
         return problem.epochs
 
-    return go
+    return run
+
+
+def _minibatches(problem: Problem) -> TensorDictReplayBuffer:
+    return TensorDictReplayBuffer(
+        storage=LazyTensorStorage(problem.rows),
+        sampler=SamplerWithoutReplacement(),
+        batch_size=problem.minibatch,
+    )
 
 
 def _actor(

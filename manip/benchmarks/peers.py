@@ -1,4 +1,4 @@
-"""The libraries that manip is measured against: an optional extra."""
+"""Import the modules that need the optional libraries of `make peers`."""
 
 import importlib
 from types import ModuleType
@@ -6,15 +6,15 @@ from types import ModuleType
 from manip.errors import UserError
 
 INSTALL = "make peers"
-"""What installs them. pip's own `manip[peers]` cannot: robosuite declares packages that
-contradict the tested versions (see requirements.lock)."""
+"""The command that installs them. `pip install manip[peers]` cannot, because robosuite
+declares packages that contradict the tested versions (see requirements.lock)."""
 
 
-def peer(module: str) -> ModuleType:
-    """A module of this package that needs the extra `peers`.
+def import_peer(module: str) -> ModuleType:
+    """Import a module of this package that needs an optional library.
 
     Raises:
-        UserError: the extra is not installed.
+        UserError: the library is not installed.
     """
     try:
         return importlib.import_module(f"manip.benchmarks.{module}")

@@ -1,4 +1,4 @@
-"""Stable-Baselines3's PPO and SAC on Pendulum-v1, with our options."""
+"""Stable-Baselines3's PPO and SAC on Pendulum-v1, with the same options."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,7 +7,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
-from manip.benchmarks.bench_returns import NET, STEPS, WORLDS, Act, pendulum
+from manip.benchmarks.pendulum import NET, NUM_ENVS, STEPS, Act, pendulum
 
 KINDS = {"PPO": PPO, "SAC": SAC}
 OPTIONS: Mapping[str, dict[str, Any]] = {
@@ -43,8 +43,8 @@ OPTIONS: Mapping[str, dict[str, Any]] = {
 
 
 def learn(algo: str, seed: int) -> Act:
-    """What its algorithm has learned."""
-    worlds = DummyVecEnv([pendulum] * WORLDS[algo])
-    learner = KINDS[algo]("MlpPolicy", worlds, seed=seed, device="cpu", **OPTIONS[algo])
+    """Train for the algorithm's number of steps and return the policy."""
+    envs = DummyVecEnv([pendulum] * NUM_ENVS[algo])
+    learner = KINDS[algo]("MlpPolicy", envs, seed=seed, device="cpu", **OPTIONS[algo])
     learner.learn(STEPS[algo])
     return lambda observation: learner.predict(observation, deterministic=True)[0]

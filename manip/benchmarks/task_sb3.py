@@ -1,17 +1,19 @@
 """Stable-Baselines3's SAC on stock robosuite, through Gymnasium."""
 
 import time
+from collections.abc import Mapping
 from copy import deepcopy
 from typing import Any
 
 import gymnasium
+import torch
 from gymnasium.wrappers import TimeLimit
 from rich.console import Console
 from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
-from torch import nn
+from torch import Tensor, nn
 
-from manip.benchmarks.attempts import GOAL, Attempt, held_in_stock
+from manip.benchmarks.time_to_success import GOAL, TimedRun, held_in_stock
 from manip.envs.adapters.gymnasium import TaskEnv
 from manip.evaluation.statistics import Rate
 from manip.robot_config import RobotConfig
@@ -19,7 +21,7 @@ from manip.robot_config import RobotConfig
 NAME = "SB3 SAC"
 
 HORIZON = 500
-"""Steps of a training episode, in robosuite's published benchmark."""
+"""Control steps of a training episode, as in robosuite's published benchmark."""
 
 OPTIONS: dict[str, Any] = {
     "batch_size": 128,
@@ -33,63 +35,84 @@ OPTIONS: dict[str, Any] = {
     "gradient_steps": 10,
     "policy_kwargs": {"net_arch": [256, 256]},
 }
-"""Those of robosuite's benchmark of SAC (ARISE-Initiative/robosuite-benchmark,
-variant.json), 0.4 updates a step; the rest as SB3 has it. There the actor's step size
-is 1e-3; SB3 has one for all networks."""
+"""Options of SAC in robosuite's benchmark (ARISE-Initiative/robosuite-benchmark,
+variant.json), with 0.4 updates per step; the others are SB3's defaults. There the
+actor's learning rate is 1e-3; SB3 has one for all networks."""
 
 EVALUATIONS = 12
-"""Evaluations in the time that is given."""
+"""Evaluations of a run that uses all of its time."""
 
 
 def stock_env(task: str) -> gymnasium.Env:
-    """Stock robosuite with its own shaped reward, observed as our tasks observe it."""
-    return TimeLimit(TaskEnv(task, env="stock", reward="stock"), HORIZON)
+    """Stock robosuite with its own shaped reward and manip's observation."""
+    return TimeLimit(TaskEnv(task, backend="stock", reward="stock"), HORIZON)
 
 
-def learn(task: str, seed: int, cap: float, episodes: int) -> Attempt:
-    """Learn until the goal is reached in an evaluation, or for `cap` seconds."""
-    judge = _Judge(task, cap, episodes)
-    learner = SAC("MlpPolicy", stock_env(task), seed=seed, device="cpu", **OPTIONS)
-    learner.learn(2**62, callback=judge, log_interval=None)
-    assert judge.success_held is not None
-    return Attempt(NAME, seed, judge.seconds, learner.num_timesteps, judge.success_held)
+def learn(task: str, seed: int, limit: float, episodes: int) -> TimedRun:
+    """Train until an evaluation reaches the goal, or for `limit` seconds."""
+    env = stock_env(task)
+    names = tuple(env.unwrapped.batch.observation_spec.slices)
+    evaluation = _Evaluation(task, names, limit, episodes)
+    learner = SAC("MlpPolicy", env, seed=seed, device="cpu", **OPTIONS)
+    learner.learn(2**62, callback=evaluation, log_interval=None)
+    assert evaluation.rate is not None
+    steps = learner.num_timesteps
+    return TimedRun(NAME, seed, evaluation.seconds, steps, evaluation.rate)
 
 
-class _Judge(BaseCallback):
-    """Evaluates now and then, with the clock stopped; ends at the goal or the cap."""
+class _MeanActor(nn.Module):
+    """A copy of SB3's actor without noise: observation parts -> action [N, A]."""
 
-    held: Rate | None = None
-
-    def __init__(self, task: str, cap: float, episodes: int) -> None:
+    def __init__(self, actor: Any, names: tuple[str, ...]) -> None:
         super().__init__()
-        self._task, self._cap, self._episodes = task, cap, episodes
-        self._every = self._due = cap / EVALUATIONS
-        self._began = time.monotonic()
+        self._net = deepcopy(nn.Sequential(actor.latent_pi, actor.mu, nn.Tanh()))
+        self._names = names
+
+    def forward(self, parts: Mapping[str, Tensor]) -> Tensor:
+        joined = torch.cat([parts[name].flatten(1) for name in self._names], 1)
+        return self._net(joined)
+
+
+class _Evaluation(BaseCallback):
+    """Evaluates at regular times, with the clock stopped; ends the training.
+
+    Attributes:
+        rate: success_held of the latest evaluation.
+    """
+
+    rate: Rate | None = None
+
+    def __init__(
+        self, task: str, names: tuple[str, ...], limit: float, episodes: int
+    ) -> None:
+        super().__init__()
+        self._task, self._names = task, names
+        self._limit, self._episodes = limit, episodes
+        self._interval = self._next = limit / EVALUATIONS
+        self._start = time.monotonic()
 
     @property
     def seconds(self) -> float:
-        """Wall time without evaluations."""
-        return time.monotonic() - self._began
+        """Wall time of training, without evaluations."""
+        return time.monotonic() - self._start
 
     def _on_step(self) -> bool:
-        if self.seconds < self._due:
+        if self.seconds < self._next:
             return True
-        stopped = time.monotonic()
-        self.success_held = self._evaluate()
-        self._say(stopped - self._began)
-        self._began += time.monotonic() - stopped
-        self._due += self._every
-        return self.success_held.rate < GOAL and self.seconds < self._cap
+        paused = time.monotonic()
+        self.rate = self._evaluate()
+        self._report(paused - self._start, self.rate)
+        self._start += time.monotonic() - paused
+        self._next += self._interval
+        return self.rate.rate < GOAL and self.seconds < self._limit
 
     def _evaluate(self) -> Rate:
-        actor = self.model.policy.actor
-        policy = deepcopy(nn.Sequential(actor.latent_pi, actor.mu, nn.Tanh()))
+        policy = _MeanActor(self.model.policy.actor, self._names)
         return held_in_stock(self._task, policy, self._episodes, RobotConfig())
 
-    def _say(self, seconds: float) -> None:
-        assert self.success_held is not None
+    def _report(self, seconds: float, rate: Rate) -> None:
         Console(stderr=True).print(
             f"step {self.num_timesteps:>9,}  {seconds:6.0f} s  "
-            f"held {self.success_held.rate:4.0%}",
+            f"success_held {rate.rate:4.0%}",
             highlight=False,
         )

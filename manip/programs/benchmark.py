@@ -1,38 +1,43 @@
-"""`manip benchmark`: how fast, in ratios of contestants that take turns in one run."""
+"""`manip benchmark`: compare speeds of candidates that are measured in turns."""
 
 import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
-from manip.benchmarks.contest import Settings, hold, save, show
+from manip.benchmarks.rounds import Settings, measure, save, show
 from manip.envs.task_registry import load_task
 from manip.errors import UserError, at_least
+from manip.io.output_paths import check_output
 from manip.programs import benchmark_task, cli
+from manip.programs.output import console
+
+PLOT_FORMATS = (".png", ".pdf", ".svg")
 
 
 @dataclass(frozen=True)
 class Benchmark:
-    """Measure speed, and returns, everything interleaved in one run.
+    """Measure speeds and returns; all candidates are measured in turns in one run.
 
-    engine: the batch engine against MuJoCo's bare physics and stock robosuite.
+    engine: batch engine, MuJoCo's bare physics and stock robosuite.
 
-    env: TorchRL and Gymnasium environments and collect loop with a policy, as a share
-    of the engine.
+    env: TorchRL and Gymnasium environments and a collect loop with a policy, as a
+    fraction of the engine's speed.
 
     startup: seconds to the first control step, with cold and warm compile cache.
 
-    scaling: speed against worlds, threads and size of the model (--plot FILE).
+    scaling: speed against environments, threads and size of the model (--plot FILE).
 
-    learner: SAC updates and PPO epochs against other libraries (see `make peers`).
-
-    returns: PPO and SAC on Pendulum-v1 beside Stable-Baselines3's, a seed a round (see
+    learner: SAC updates and PPO epochs per second, against other libraries (needs
     `make peers`).
 
-    envpool: EnvPool's PandaPickCube beside us (see `make peers`).
+    returns: PPO and SAC on Pendulum-v1 beside Stable-Baselines3's, one seed per round
+    (needs `make peers`).
+
+    envpool: EnvPool's PandaPickCube beside the engine (needs `make peers`).
 
     task: wall time until a task is learned; see `manip benchmark task --help`.
     """
@@ -41,17 +46,17 @@ class Benchmark:
         Literal["engine", "env", "startup", "scaling", "learner", "returns", "envpool"],
         tyro.conf.Positional,
     ]
-    """Which benchmark."""
+    """Benchmark to run."""
     task: str = "Lift"
-    """Task that is simulated."""
-    worlds: int = 64
-    """TaskBatch side by side."""
+    """Task to simulate (see `manip list`)."""
+    num_envs: int = 64
+    """Number of environments that are stepped in parallel."""
     rounds: int = 7
-    """Rounds that all contestants run."""
+    """Rounds: measurements of each candidate."""
     json: Path | None = None
-    """Write figures, medians and spreads to this file, too."""
+    """File for figures, medians and spreads, as JSON."""
     plot: Path | None = None
-    """Draw the result as a .png file (scaling)."""
+    """File for a plot of the result, .png, .pdf or .svg (scaling only)."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -59,17 +64,25 @@ def main(arguments: Sequence[str]) -> int:
     if list(arguments[:1]) == ["task"]:
         return benchmark_task.main(arguments[1:])
     options = cli.parse(Benchmark, arguments, "manip benchmark")
-    for name in ("worlds", "rounds"):
-        at_least(1, f"--{name}", getattr(options, name))
-    load_task(options.task)
     benchmark = importlib.import_module(f"manip.benchmarks.bench_{options.what}")
+    _check(options, benchmark)
+    settings = Settings(options.task, options.num_envs, options.rounds)
+    measurements = measure(benchmark.comparison(settings), settings.rounds)
+    if options.json:
+        save(measurements, settings, options.json)
+    if options.plot:
+        benchmark.plot(measurements, options.plot)
+    show(measurements, console())
+    return 0
+
+
+def _check(options: Benchmark, benchmark: Any) -> None:
+    at_least(1, "--num-envs", options.num_envs)
+    at_least(1, "--rounds", options.rounds)
+    load_task(options.task)
     if options.plot and not hasattr(benchmark, "plot"):
         raise UserError(f"--plot draws `scaling` only, not {options.what!r}")
-    settings = Settings(options.task, options.worlds, options.rounds)
-    outcome = hold(benchmark.contest(settings), settings.rounds)
-    show(outcome)
     if options.json:
-        save(outcome, settings, options.json)
+        check_output(options.json, "--json")
     if options.plot:
-        benchmark.plot(outcome, options.plot)
-    return 0
+        check_output(options.plot, "--plot", PLOT_FORMATS)

@@ -5,88 +5,100 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
-
-from manip.benchmarks.attempts import Attempt, figures, median_time, table, verdict
-from manip.benchmarks.bench_task import ours, peers
-from manip.benchmarks.peers import peer
+from manip.benchmarks.bench_task import manip_runs, sb3_runs
+from manip.benchmarks.peers import import_peer
+from manip.benchmarks.time_to_success import (
+    TimedRun,
+    figures,
+    median_time,
+    summary,
+    table,
+)
 from manip.cpus import usable_cpus
 from manip.envs.task_registry import load_task
 from manip.errors import UserError, at_least
 from manip.io.atomic_files import write_text
+from manip.io.output_paths import check_output
 from manip.programs import cli
+from manip.programs.output import console
 from manip.versions import versions
+
+Runs = Sequence[TimedRun]
 
 
 @dataclass(frozen=True)
 class TaskBenchmark:
-    """Measure how long a task takes to learn, judged in stock robosuite.
+    """Measure the wall time until a task is learned, evaluated in stock robosuite.
 
-    Ours is `manip train` with the shipped recipe of SAC, in a fresh process a seed:
-    the whole process counts, compiled code being in the cache. The peer is
-    Stable-Baselines3's SAC on stock robosuite with robosuite's shaped reward and the
-    options of robosuite's own benchmark, looked at twelve times on the way. Evaluation
-    in stock robosuite counts as nobody's time. A run that holds success in less than
-    95 % of its episodes has missed: its time is infinite in the median.
+    manip: `manip train` with the shipped recipe of SAC, in a new process per seed. The
+    whole process is timed, with a warm cache of compiled code.
+
+    Stable-Baselines3: SAC on stock robosuite with robosuite's shaped reward and the
+    options of robosuite's own benchmark, evaluated twelve times on the way.
+
+    Evaluations in stock robosuite are not timed. The goal is success_held in 95 % of
+    the episodes. A run that misses it counts as infinite in the median.
     """
 
     task: str = "Lift"
-    """Task to learn."""
+    """Task to learn (see `manip list`)."""
     seeds: int = 5
-    """Runs of ours, with seeds 0, 1, ..."""
+    """Number of manip's runs, with seeds 0, 1, ..."""
     episodes: int = 100
     """Episodes of each evaluation in stock robosuite."""
     peer: bool = True
-    """Run Stable-Baselines3, too (see `make peers`)."""
+    """Also run Stable-Baselines3 (needs `make peers`)."""
     peer_seeds: int = 1
-    """Runs of Stable-Baselines3."""
+    """Number of Stable-Baselines3's runs."""
     cap: float = 60.0
-    """Minutes that a run of Stable-Baselines3 is given."""
+    """Time limit of a run of Stable-Baselines3 [minutes]."""
     json: Path | None = None
-    """Write figures and attempts to this file, too."""
+    """File for figures and runs, as JSON."""
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run the benchmark and print its table."""
     options = cli.parse(TaskBenchmark, arguments, "manip benchmark task")
     _check(options)
-    mine = list(ours(options.task, options.seeds, options.episodes))
-    theirs: list[Attempt] = []
-    if options.peer:
-        cap = 60 * options.cap
-        theirs += peers(options.task, options.peer_seeds, cap, options.episodes)
-    _print(options, mine, theirs)
+    manip = list(manip_runs(options.task, options.seeds, options.episodes))
+    sb3 = _sb3(options)
     if options.json:
-        write_text(options.json, _record(options, mine, theirs))
+        write_text(options.json, _record(options, manip, sb3))
+    _print(options, manip, sb3)
     return 0
 
 
 def _check(options: TaskBenchmark) -> None:
     for name in ("seeds", "episodes", "peer_seeds"):
         at_least(1, f"--{name.replace('_', '-')}", getattr(options, name))
-    if not options.cap > 0:
+    if not 0 < options.cap < float("inf"):
         raise UserError(f"--cap must be more than 0 minutes, not {options.cap}")
+    if options.json:
+        check_output(options.json, "--json")
     load_task(options.task)
     if options.peer:
-        peer("task_sb3")
+        import_peer("task_sb3")
 
 
-def _print(
-    options: TaskBenchmark, mine: Sequence[Attempt], theirs: Sequence[Attempt]
-) -> None:
-    console = Console()
-    console.print(table(options.task, [*mine, *theirs]))
-    console.print(f"manip, median: {median_time(mine):,.1f} s", highlight=False)
-    for attempt in theirs:
-        console.print(verdict(attempt), highlight=False)
+def _sb3(options: TaskBenchmark) -> list[TimedRun]:
+    if not options.peer:
+        return []
+    limit = 60 * options.cap
+    return list(sb3_runs(options.task, options.peer_seeds, limit, options.episodes))
 
 
-def _record(
-    options: TaskBenchmark, mine: Sequence[Attempt], theirs: Sequence[Attempt]
-) -> str:
+def _print(options: TaskBenchmark, manip: Runs, sb3: Runs) -> None:
+    shown = console()
+    shown.print(table(options.task, [*manip, *sb3]))
+    shown.print(f"manip, median: {median_time(manip):,.1f} s", highlight=False)
+    for run in sb3:
+        shown.print(summary(run), highlight=False)
+
+
+def _record(options: TaskBenchmark, manip: Runs, sb3: Runs) -> str:
     record = {
-        "figures": figures(mine, theirs),
-        "attempts": [attempt.plain() for attempt in (*mine, *theirs)],
+        "figures": figures(manip, sb3),
+        "runs": [run.to_dict() for run in (*manip, *sb3)],
         "task": options.task,
         "episodes": options.episodes,
         "cap_seconds": 60 * options.cap,

@@ -1,93 +1,108 @@
-"""`manip study`: what the lesson on policy gradients claims, measured on an arm."""
+"""`manip study`: measure what policy gradient algorithms and their options do."""
 
 import csv
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from io import StringIO
 from itertools import chain
+from math import isnan
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
-from rich.console import Console
 
 from manip.agents.registry import algorithm_names
 from manip.envs.task_registry import load_task
 from manip.errors import UserError, at_least
 from manip.io.atomic_files import write_text
+from manip.io.output_paths import check_output_folder
 from manip.programs import cli
-from manip.studies import figures
-from manip.studies.gradients import Found, measure
+from manip.programs.output import console
+from manip.studies import gradient_figures, learning_figures
+from manip.studies.gradients import GradientRow, GradientStudy, measure
 from manip.studies.learning import (
-    Evaluated,
+    Evaluation,
     algorithm_variants,
     clipping_variants,
     evaluations,
 )
 
-Measured = Callable[["Study"], list[Any]]
-Pictures = Mapping[str, Callable[[Sequence[Any], Path], None]]
+Measure = Callable[["Study"], list[Any]]
+Figures = Mapping[str, Callable[[Sequence[Any], Path], None]]
+
+FEWEST_ROLLOUTS = 8
+"""Fewer do not give a covariance and its bootstrap intervals."""
 
 
 @dataclass(frozen=True)
 class Study:
-    """Run a study with several seeds; leaves a table (.csv) and a picture (.png).
+    """Run a study with several seeds; write a table (.csv) and figures (.png).
 
-    gradients: their noise (REINFORCE, with a baseline, actor-critic), and noise and
-    bias against n of n-step returns: variance.png and bias.png.
+    gradients: noise of policy gradients (REINFORCE, with a baseline, actor-critic), and
+    noise and bias against n of n-step returns, with bootstrap intervals: variance.png
+    and bias.png.
 
     clipping: PPO's epochs with and without clipping.
 
-    algorithms: all of them, success against control steps and computing time.
+    algorithms: all algorithms, success against control steps and computing time.
     """
 
     what: Annotated[
         Literal["gradients", "clipping", "algorithms"], tyro.conf.Positional
     ]
-    """Which study."""
+    """Study to run."""
     tasks: tuple[str, ...] = ("Reach",)
-    """Tasks; each but `algorithms` takes the first."""
+    """Tasks; `gradients` and `clipping` use the first."""
     algos: tuple[str, ...] = tuple(algo for algo in algorithm_names() if algo != "bc")
-    """What `algorithms` compares; all that learn from rewards unless given."""
+    """Algorithms of `algorithms`; by default all that learn from rewards."""
     seeds: int = 3
-    """Runs of each variant, with seeds 0, 1, ..."""
+    """Number of runs of each variant, with seeds 0, 1, ..."""
     steps: int | None = None
-    """Control steps of a run; as many as its recipe has unless given."""
+    """Control steps of a run; by default as many as its recipe has."""
     stages: tuple[int, ...] = (5_000, 20_000, 80_000)
-    """Control steps of training after which gradients are looked at."""
+    """Control steps of training after which `gradients` measures."""
     gamma: float = 0.97
-    """Discount of the gradients that are looked at."""
+    """Discount of `gradients`."""
     rollouts: int = 60
-    """Rollouts that gradients are estimated from, one each."""
+    """Rollouts per stage of `gradients`; more rollouts give narrower intervals."""
     length: int = 40
-    """Control steps at the beginning of their episodes that gradients are taken of."""
+    """Control steps at the start of an episode that enter a gradient."""
     out: Path = Path("runs/study")
-    """Folder of tables, pictures and runs; runs that are there are not run again."""
+    """Folder for tables, figures and runs; finished runs in it are not repeated."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the study and say where its results lie."""
+    """Run the study and print the paths of its results."""
     options = cli.parse(Study, arguments, "manip study")
     _check(options)
     options.out.mkdir(parents=True, exist_ok=True)
-    measured, pictures = STUDIES[options.what]
-    found = measured(options)
+    measure_rows, figures = STUDIES[options.what]
+    rows = measure_rows(options)
     table = options.out / f"{options.what}.csv"
-    write_text(table, _table(found))
-    Console().print(str(table), highlight=False)
-    for name, draw in pictures.items():
+    write_text(table, _table(rows))
+    console().print(str(table), highlight=False)
+    for name, draw in figures.items():
         picture = options.out / f"{name}.png"
-        draw(found, picture)
-        Console().print(str(picture), highlight=False)
+        draw(rows, picture)
+        console().print(str(picture), highlight=False)
     return 0
 
 
 def _check(options: Study) -> None:
     for name in ("seeds", "length"):
         at_least(1, f"--{name}", getattr(options, name))
-    at_least(2, "--rollouts", options.rollouts)
+    at_least(FEWEST_ROLLOUTS, "--rollouts", options.rollouts)
     if options.steps is not None:
         at_least(1, "--steps", options.steps)
+    for stage in options.stages:
+        at_least(0, "--stages", stage)
+    if not 0 <= options.gamma <= 1:
+        raise UserError(f"--gamma must be from 0 to 1, not {options.gamma}")
+    _check_names(options)
+    check_output_folder(options.out, "--out")
+
+
+def _check_names(options: Study) -> None:
     for name in ("tasks", "algos", "stages"):
         if not getattr(options, name):
             raise UserError(f"--{name} must name at least one")
@@ -95,24 +110,35 @@ def _check(options: Study) -> None:
         load_task(task)
 
 
-def _gradients(options: Study) -> list[Found]:
-    task, found = options.tasks[0], []
+def _gradients(options: Study) -> list[GradientRow]:
+    study = GradientStudy(
+        options.tasks[0],
+        options.gamma,
+        sorted(set(options.stages)),
+        options.rollouts,
+        options.length,
+    )
+    rows = []
     for seed in range(options.seeds):
-        for stage in measure(
-            task, seed, options.gamma, options.stages, options.rollouts, options.length
-        ):
-            found += stage
-            told = f"seed {seed}: {options.rollouts} gradients after"
-            Console().print(f"{told} {stage[0].env_steps:,} steps", highlight=False)
-    return found
+        for stage in measure(study, seed):
+            rows += stage
+            console().print(_progress(study, stage[0]), highlight=False)
+    return rows
 
 
-def _clipping(options: Study) -> list[Evaluated]:
+def _progress(study: GradientStudy, row: GradientRow) -> str:
+    text = f"seed {row.seed}: {study.rollouts} gradients after {row.env_steps:,} steps"
+    if isnan(row.noise):
+        text += ": too few to tell the gradient from zero, increase --rollouts"
+    return text
+
+
+def _clipping(options: Study) -> list[Evaluation]:
     variants = clipping_variants(options.tasks[0], options.steps)
     return list(evaluations(variants, range(options.seeds), options.out / "runs"))
 
 
-def _algorithms(options: Study) -> list[Evaluated]:
+def _algorithms(options: Study) -> list[Evaluation]:
     runs = (
         evaluations(
             algorithm_variants(task, options.algos, options.steps),
@@ -124,20 +150,32 @@ def _algorithms(options: Study) -> list[Evaluated]:
     return list(chain.from_iterable(runs))
 
 
-STUDIES: dict[str, tuple[Measured, Pictures]] = {
+STUDIES: dict[str, tuple[Measure, Figures]] = {
     "gradients": (
         _gradients,
-        {"variance": figures.draw_variance, "bias": figures.draw_bias},
+        {
+            "variance": gradient_figures.draw_variance,
+            "bias": gradient_figures.draw_bias,
+        },
     ),
-    "clipping": (_clipping, {"clipping": figures.draw_clipping}),
-    "algorithms": (_algorithms, {"algorithms": figures.draw_algorithms}),
+    "clipping": (_clipping, {"clipping": learning_figures.draw_clipping}),
+    "algorithms": (_algorithms, {"algorithms": learning_figures.draw_algorithms}),
 }
+"""Study -> the function that measures its rows, and the figures of these rows."""
 
 
-def _table(found: Sequence[Any]) -> str:
+def _table(rows: Sequence[Any]) -> str:
+    """The rows as CSV; a number that is nan is left empty."""
     text = StringIO()
-    columns = [field.name for field in fields(found[0])]
+    columns = [field.name for field in fields(rows[0])]
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(asdict(row) for row in found)
+    writer.writerows(map(_plain, rows))
     return text.getvalue()
+
+
+def _plain(row: Any) -> dict[str, Any]:
+    return {
+        name: "" if isinstance(value, float) and isnan(value) else value
+        for name, value in asdict(row).items()
+    }

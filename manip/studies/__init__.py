@@ -1,1 +1,1 @@
-"""Studies: what the lesson on policy gradients claims, measured on an arm."""
+"""Studies: measurements of what policy gradient algorithms and their options do."""

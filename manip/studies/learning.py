@@ -1,4 +1,4 @@
-"""How runs of several options learn: their evaluations, side by side."""
+"""Train variants of a run with several seeds, and collect their evaluations."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -8,19 +8,30 @@ from pathlib import Path
 from manip.agents.ppo import PPOConfig
 from manip.errors import UserError
 from manip.training.config import TrainConfig, recipe, recorded
-from manip.training.run_logs import read_metrics
 from manip.training.run import train_or_resume
+from manip.training.run_logs import read_metrics
 from manip.training.terminal import TerminalProgress
 
 EPOCHS = (1, 5, 20)
+"""PPO's passes over a rollout that are compared."""
+
 CLIPS = (0.2, None)
+"""PPO's clip ranges that are compared."""
+
+EVALUATIONS = 5
+"""Evaluations of a run."""
 
 
 @dataclass(frozen=True)
-class Evaluated:
-    """One evaluation of one run, after so much computing time.
+class Evaluation:
+    """An evaluation during a run.
 
-    kl is that of the update before, where it is told.
+    Attributes:
+        task, variant, seed: of the run.
+        env_steps: control steps of training before it.
+        cpu_seconds: computing time before it, without evaluations.
+        success_held: rate of the goal being held at the end of an episode.
+        kl: KL divergence of the latest update; nan where it is not logged.
     """
 
     task: str
@@ -33,11 +44,11 @@ class Evaluated:
 
 
 def clipping_variants(task: str, steps: int | None) -> dict[str, TrainConfig]:
-    """PPO with few and many epochs, with and without clipping, never stopped early."""
+    """PPO with few and many epochs, with and without clipping, without early stop."""
     base = recipe(task, "ppo")
     agent = base.agent
     assert isinstance(agent, PPOConfig)
-    base = _in_fifths(replace(base, cool_down=0.0), steps)
+    base = _with_evaluations(replace(base, cool_down=0.0), steps)
     return {
         _name(epochs, clip): replace(
             base,
@@ -49,77 +60,80 @@ def clipping_variants(task: str, steps: int | None) -> dict[str, TrainConfig]:
 
 
 def _name(epochs: int, clip: float | None) -> str:
-    many = "epoch" if epochs == 1 else "epochs"
-    return f"{epochs} {many}, " + (f"clip {clip}" if clip else "no clip")
+    noun = "epoch" if epochs == 1 else "epochs"
+    return f"{epochs} {noun}, " + (f"clip {clip}" if clip else "no clip")
 
 
 def algorithm_variants(
     task: str, algos: Sequence[str], steps: int | None
 ) -> dict[str, TrainConfig]:
-    """Algorithms, each as its recipe for the task has it."""
-    return {algo: _in_fifths(recipe(task, algo), steps) for algo in algos}
+    """Algorithms with the options of their recipes for the task."""
+    return {algo: _with_evaluations(recipe(task, algo), steps) for algo in algos}
 
 
-def _in_fifths(config: TrainConfig, steps: int | None) -> TrainConfig:
-    """So many steps, or the recipe's own, with five evaluations."""
+def _with_evaluations(config: TrainConfig, steps: int | None) -> TrainConfig:
+    """Set the number of steps (the recipe's own unless given) and of evaluations."""
     steps = steps or config.steps
-    return replace(config, steps=steps, eval_every=max(1, steps // 5))
+    return replace(config, steps=steps, eval_every=max(1, steps // EVALUATIONS))
 
 
 def evaluations(
     variants: Mapping[str, TrainConfig], seeds: Sequence[int], folder: Path
-) -> Iterator[Evaluated]:
-    """Run every variant with every seed, in folders of their own, and read them.
+) -> Iterator[Evaluation]:
+    """Train every variant with every seed, in its own folder, and read its evaluations.
 
-    Runs that are there already are not repeated; one that was stopped goes on.
+    A finished run is not repeated. An interrupted run is resumed.
+
+    Raises:
+        UserError: a folder holds a run with other options, or a damaged table.
     """
     for variant, config in variants.items():
         for seed in seeds:
             out = folder / f"{config.task}-{variant}-{seed}".replace(" ", "-")
             run = replace(config, seed=seed, out=out)
-            yield from _finished(run, variant)
+            yield from _evaluations_of(run, variant)
 
 
-def _finished(run: TrainConfig, variant: str) -> list[Evaluated]:
-    """The evaluations of a run, once what is left of it has been run."""
-    _check_same(run)
-    found = _read(run, variant)
-    if found and found[-1].env_steps >= run.steps:
-        return found
+def _evaluations_of(run: TrainConfig, variant: str) -> list[Evaluation]:
+    _check_options(run)
+    rows = _read(run, variant)
+    if rows and rows[-1].env_steps >= run.steps:
+        return rows
     with TerminalProgress() as progress:
         if not train_or_resume(run, callback=progress).finished:
             raise KeyboardInterrupt
     return _read(run, variant)
 
 
-def _check_same(run: TrainConfig) -> None:
-    """A run that is there already must be the one that is asked for."""
+def _check_options(run: TrainConfig) -> None:
+    """Check that a run that exists in the folder has the options of this run."""
     if not (run.folder / "config.yaml").is_file():
         return
-    there = recorded(run.folder)
-    if replace(there, out=run.out, resume=run.resume, threads=run.threads) != run:
+    stored = recorded(run.folder)
+    if replace(stored, out=run.out, resume=run.resume, threads=run.threads) != run:
         raise UserError(
             f"{run.folder} holds a run with other options: remove it, or choose "
             "another folder with --out"
         )
 
 
-def _read(run: TrainConfig, variant: str) -> list[Evaluated]:
+def _read(run: TrainConfig, variant: str) -> list[Evaluation]:
     path = run.folder / "metrics.csv"
     try:
-        return [
-            Evaluated(
-                run.task,
-                variant,
-                run.seed,
-                int(row["env_steps"]),
-                float(row["cpu_seconds"]),
-                float(row["eval/success_held"]),
-                float(row.get("learn/kl") or math.nan),
-            )
-            for row in read_metrics(path)
-        ]
+        return [_evaluation(run, variant, row) for row in read_metrics(path)]
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(
             f"{path} is damaged: remove {run.folder} to run it again"
         ) from error
+
+
+def _evaluation(run: TrainConfig, variant: str, row: Mapping[str, str]) -> Evaluation:
+    return Evaluation(
+        run.task,
+        variant,
+        run.seed,
+        int(row["env_steps"]),
+        float(row["cpu_seconds"]),
+        float(row["eval/success_held"]),
+        float(row.get("learn/kl") or math.nan),
+    )
