@@ -3,7 +3,7 @@
 import time
 from collections.abc import Mapping
 from copy import deepcopy
-from typing import Any, cast
+from typing import Any
 
 import gymnasium
 import torch
@@ -51,7 +51,7 @@ def stock_env(task: str) -> gymnasium.Env:
 def learn(task: str, seed: int, limit: float, episodes: int) -> TimedRun:
     """Train until an evaluation reaches the goal, or for `limit` seconds."""
     env = stock_env(task)
-    names = tuple(cast(TaskEnv, env.unwrapped).batch.observation_spec.slices)
+    names = tuple(env.get_wrapper_attr("batch").observation_spec.slices)
     evaluation = _Evaluation(task, names, limit, episodes)
     learner = SAC("MlpPolicy", env, seed=seed, device="cpu", **OPTIONS)
     learner.learn(2**62, callback=evaluation, log_interval=None)
