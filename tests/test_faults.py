@@ -83,7 +83,8 @@ def test_one_faulty_environment_of_many_is_named_and_loses_its_episode_only(
     capsys,
     monkeypatch,
 ) -> None:
-    batch = NativeBatch(task(), N, scene=scene, dumps=tmp_path)
+    batch = NativeBatch(task(), N, scene=scene)
+    batch.dump_folder = tmp_path
     healthy = play(NativeBatch(task(), N, scene=scene))
     steps = play(batch, part)
     (fault,) = batch.faults
@@ -105,7 +106,8 @@ def test_one_faulty_environment_of_many_is_named_and_loses_its_episode_only(
 
 def broken_step(scene: Scene, folder: Path) -> tuple[Path, NativeBatch]:
     """A dump of a NaN action in environment 1 of 3, and the batch before that step."""
-    batch = NativeBatch(Tiny(), 3, scene=scene, dumps=folder)
+    batch = NativeBatch(Tiny(), 3, scene=scene)
+    batch.dump_folder = folder
     before = NativeBatch(Tiny(), 3, scene=scene)
     action = np.full((3, 7), 0.4)
     for each in (batch, before):
@@ -155,7 +157,8 @@ def test_a_file_that_is_no_dump_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_fault_can_end_the_run_and_names_its_dump(scene, tmp_path) -> None:
-    batch = NativeBatch(NanReward(), N, scene=scene, dumps=tmp_path)
+    batch = NativeBatch(NanReward(), N, scene=scene)
+    batch.dump_folder = tmp_path
     batch.stop_at_faults = True
     message = (
         f"NanReward: reward term 'closing' of environment {FAULTY} is not finite in "
@@ -166,7 +169,8 @@ def test_a_fault_can_end_the_run_and_names_its_dump(scene, tmp_path) -> None:
 
 
 def test_the_number_of_dumps_is_bounded(scene: Scene, tmp_path: Path) -> None:
-    batch = NativeBatch(Tiny(), N, scene=scene, dumps=tmp_path)
+    batch = NativeBatch(Tiny(), N, scene=scene)
+    batch.dump_folder = tmp_path
     batch.begin(np.arange(N))
     batch.step(np.full((N, 7), np.nan))
     assert len(batch.faults) == N

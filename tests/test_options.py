@@ -64,7 +64,7 @@ def test_every_number_has_a_range_that_its_default_keeps(cls: type) -> None:
 
 @dataclass(frozen=True)
 class Own:
-    """Options of somebody else's algorithm."""
+    """Options of a user's own algorithm."""
 
     beta: Annotated[float, Range(0.5, 2)] = 1.0
     widths: Annotated[tuple[int, ...], Range(1, 9)] = (4,)

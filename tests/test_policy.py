@@ -156,7 +156,7 @@ def test_markup_and_escape_sequences_in_a_card_are_refused(key, text, folder) ->
         [part("arm", -6)],
         [part("arm", 10**9)],
         [part("arm", 2**40)],
-        [part("arm", 6, role="nobody")],
+        [part("arm", 6, role="unknown")],
         [part("arm", 6) | {"dtype": "complex64"}],
         [part("arm", 6) | {"more": "x"}],
         [part("arm", 6, role="camera")],

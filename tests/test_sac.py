@@ -32,7 +32,7 @@ SMALL = SACConfig(
 
 
 def transitions(count: int = 8, seed: int = 0) -> TensorDict:
-    """Single steps of random worlds that go on."""
+    """Single steps of random environments that do not end."""
     draw = torch.Generator().manual_seed(seed)
     flag = torch.zeros(count, 1, dtype=torch.bool)
     after = {

@@ -6,11 +6,13 @@ Plain numpy; TorchRL, Gymnasium and dm_env environments are adapters of it.
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping, Sequence
-from typing import Any, TypedDict
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from manip.envs.episode_streams import TRAINING, Purpose, check_purpose, check_seed
+from manip.envs.episode_options import EpisodeOptions
+from manip.envs.episode_streams import check_purpose, check_seed
 from manip.envs.faults import Fault, non_finite
 from manip.envs.measure_cache import MeasureCache
 from manip.envs.option_checks import state_array
@@ -28,17 +30,6 @@ from manip.sim.actions import checked_actions
 Array = np.ndarray
 
 
-class EpisodeOptions(TypedDict, total=False):
-    """Options of the episodes, which every backend takes (see `TaskBatch`)."""
-
-    horizon: int | None
-    reward: str
-    reward_weights: Mapping[str, float] | None
-    seed: int
-    purpose: int
-    first_env: int
-
-
 class TaskBatch(ABC):
     """Base class of the backends, which move the environments.
 
@@ -46,17 +37,10 @@ class TaskBatch(ABC):
         task: the task.
         num_envs: N.
         action_dim: A.
-        horizon: episode length [control steps]; the task's own by default.
-        reward: reward set that is paid, "shaped" or "stock".
-        reward_weights: weights that replace those of the set, term -> weight.
-        seed: episode e of environment i depends on (seed, purpose, i, e) only.
-        purpose: see `manip.envs.episode_streams.Purpose`.
-        first_env: number of the first environment in the random streams; batches that
-            share a seed get episodes of their own by it.
+        options: see `manip.envs.episode_options.EpisodeOptions`.
 
     Raises:
-        UserError: an option is out of its range, or a function of the task returns a
-            wrong name, shape or dtype.
+        UserError: a function of the task returns a wrong name, shape or dtype.
 
     Attributes:
         observation_spec: names, shapes and roles of the observation's parts.
@@ -67,32 +51,28 @@ class TaskBatch(ABC):
         faults: the latest faults; the reader removes those that it has reported.
         fault_count: number of faults so far.
         stop_at_faults: whether a fault raises UserError.
+        dump_folder: where the native backend writes steps with non-finite numbers, one
+            file each, for `manip replay`; None for nowhere.
     """
 
     stop_at_faults = False
+    dump_folder: Path | None = None
 
     def __init__(
         self,
         task: Task,
         num_envs: int,
         action_dim: int,
-        horizon: int | None = None,
-        reward: str = "shaped",
-        reward_weights: Mapping[str, float] | None = None,
-        seed: int = 0,
-        purpose: int = TRAINING,
-        first_env: int = 0,
+        options: EpisodeOptions,
     ) -> None:
         at_least(1, "num_envs", num_envs)
-        at_least(0, "first_env", first_env)
-        at_least(1, "horizon", 1 if horizon is None else horizon)
         self.task = task
         self.num_envs = num_envs
         self.action_dim = action_dim
-        self.reward_set = reward
-        self.seed = check_seed(seed)
-        self.purpose: Purpose = check_purpose(purpose)
-        self.first_env = first_env
+        self.reward_set = reward = options.reward
+        self.seed = check_seed(options.seed)
+        self.purpose = check_purpose(options.purpose)
+        self.first_env = options.first_env
         self.episode = np.full(num_envs, -1, dtype=np.int64)
         self._begun = np.zeros(num_envs, bool)
         self.elapsed = np.zeros(num_envs, dtype=np.int64)
@@ -101,15 +81,15 @@ class TaskBatch(ABC):
         with blamed(task):
             check_choice("reward", reward, tuple(task.weights))
             check_task(task, self.read(), num_envs)
-            self.horizon = task.horizon if horizon is None else horizon
-            overrides = reward_weights or {}
+            self.horizon = options.horizon or task.horizon
+            overrides = options.reward_weights or {}
             self.reward_weights = override_weights(task.weights[reward], overrides)
             self._cache = MeasureCache(task, num_envs, self.read, self._version)
             outputs = evaluate(task, self._cache.get(), reward)
         self.reward_names = tuple(self.reward_weights)
         self.observation_spec = vector_spec(outputs.parts, task.proprioception)
         self._form = OutputForm(task, outputs)
-        self._range = RewardRange(task, reward == "shaped" and not reward_weights)
+        self._range = RewardRange(task, reward == "shaped" and not overrides)
         self._last_observation = np.zeros(
             (num_envs, self.observation_spec.dim), np.float32
         )

@@ -50,8 +50,8 @@ def ranges_of(options: type) -> dict[str, Range]:
     declared = {}
     for field in fields(options):
         marks = getattr(hints[field.name], "__metadata__", ())
-        if found := [mark for mark in marks if isinstance(mark, Range)]:
-            declared[field.name] = found[0]
+        if ranges := [mark for mark in marks if isinstance(mark, Range)]:
+            declared[field.name] = ranges[0]
     return declared
 
 

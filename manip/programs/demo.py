@@ -90,12 +90,12 @@ def _plot(options: Demo) -> None:
 
 def _summary(run: RunResult, result: Evaluation) -> Table:
     minutes, seconds = divmod(round(run.seconds), 60)
-    held = result.success["success_held"]
+    rate = result.success["success_held"]
     rows = {
         "trained": f"{run.env_steps:,} steps in {minutes}:{seconds:02} min",
         "success_held in stock robosuite": (
-            f"{held.rate:.1%} of {result.episodes} episodes "
-            f"({held.low:.1%} - {held.high:.1%})"
+            f"{rate.rate:.1%} of {result.episodes} episodes "
+            f"({rate.low:.1%} - {rate.high:.1%})"
         ),
         "training seeds": "1: the interval covers episodes only",
     }

@@ -13,9 +13,7 @@ from manip.agents.registry import load_algorithm
 from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.episode_streams import CHOICE
-from manip.envs.external_task import ExternalTask
 from manip.envs.make_batch import make_batch
-from manip.envs.task_registry import load_task
 from manip.errors import UserError
 from manip.observation import check_observation
 from manip.training.config import SCALE, TrainConfig
@@ -90,12 +88,10 @@ def evaluation_env(config: TrainConfig) -> TaskEnv:
 def _env(
     config: TrainConfig, num_envs: int, expert: bool = False, **options: Any
 ) -> TaskEnv:
-    task = load_task(config.task)
-    if not isinstance(task, ExternalTask):
-        options["dumps"] = config.folder / "dumps"
     batch = make_batch(
-        task, num_envs, robot=config.robot_config, seed=config.seed, **options
+        config.task, num_envs, robot=config.robot_config, seed=config.seed, **options
     )
+    batch.dump_folder = config.folder / "dumps"
     return TaskEnv(batch, expert)
 
 

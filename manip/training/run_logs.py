@@ -71,7 +71,7 @@ def check_wandb(project: str | None) -> None:
     """Check that a run can log to Weights & Biases, if it is to, before it begins.
 
     Raises:
-        UserError: the library is not installed, or nobody is logged in.
+        UserError: the library is not installed, or there is no login.
     """
     if project is None:
         return

@@ -1,21 +1,20 @@
 """ExternalBatch: N environments of another library, stepped in worker processes."""
 
 from functools import partial
-from typing import Any, Unpack
+from typing import Any
 
 import numpy as np
 
 from manip.cpus import usable_cpus
 from manip.envs.backends.worker_pool import WorkerPool
+from manip.envs.episode_options import EpisodeOptions
 from manip.envs.episode_streams import (
     build_seed,
-    check_purpose,
-    check_seed,
     episode_seed,
 )
 from manip.envs.external_task import EARNED, ExternalTask
 from manip.envs.task import Measures
-from manip.envs.task_batch import EpisodeOptions, TaskBatch
+from manip.envs.task_batch import TaskBatch
 from manip.envs.task_errors import exits_blamed
 from manip.errors import UserError, at_least
 from manip.robot_config import RobotConfig
@@ -60,7 +59,7 @@ class ExternalBatch(NotCopied, TaskBatch):
         stagger: bool = False,
         restart_fraction: float = 0.0,
         hard_reset: bool = False,
-        **options: Unpack[EpisodeOptions],
+        **options: Any,
     ) -> None:
         if (fidelity, restart_fraction) != ("exact", 0):
             raise UserError(
@@ -72,11 +71,8 @@ class ExternalBatch(NotCopied, TaskBatch):
         at_least(1, "threads", 1 if threads is None else threads)
         task.module().check_robot_config(robot)
         processes = min(threads or usable_cpus(), num_envs)
-        key = (
-            check_seed(options.get("seed", 0)),
-            check_purpose(options.get("purpose", 0)),
-        )
-        make = partial(_open, task, robot, hard_reset, *key)
+        episodes = EpisodeOptions(**({"reward": "stock"} | options))
+        make = partial(_open, task, robot, hard_reset, episodes)
         with exits_blamed(task):
             self._pool = WorkerPool(make, num_envs, processes)
             first: ExternalStep = self._pool.call("start", {0: (0,)})[0]
@@ -85,8 +81,7 @@ class ExternalBatch(NotCopied, TaskBatch):
         self._actions: list[list[Array]] = [[] for _ in range(num_envs)]
         self._stagger = stagger
         self._changes = 0
-        options.setdefault("reward", "stock")
-        super().__init__(task, num_envs, action_dim, **options)
+        super().__init__(task, num_envs, action_dim, episodes)
 
     def read(self) -> Measures:
         """The parts of the observation [N, k]; reward, success and terminated [N]."""
@@ -178,12 +173,13 @@ def _open(
     task: ExternalTask,
     robot: RobotConfig,
     hard_reset: bool,
-    seed: int,
-    purpose: int,
+    episodes: EpisodeOptions,
     env_id: int,
 ) -> ExternalSim:
     """Build the simulation of an environment; what it samples now has its own seed."""
+    number = episodes.first_env + env_id
+    seed = build_seed(episodes.seed, episodes.purpose, number)
     opened: ExternalSim = task.module().open_sim(
-        task.environment, robot, build_seed(seed, purpose, env_id), hard_reset
+        task.environment, robot, seed, hard_reset
     )
     return opened

@@ -2,17 +2,18 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Unpack, get_args
+from typing import Any, get_args
 
 import numpy as np
 
+from manip.envs.episode_options import EpisodeOptions
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.external_task import ExternalTask
 from manip.envs.faults import Fault
 from manip.envs.option_checks import check_share, state_array
 from manip.envs.restart_buffer import INTERVAL, RestartBuffer
 from manip.envs.task import Measures, Task
-from manip.envs.task_batch import EpisodeOptions, TaskBatch
+from manip.envs.task_batch import TaskBatch
 from manip.envs.task_check import check_start
 from manip.envs.task_errors import blamed
 from manip.envs.time_step import TimeStep
@@ -47,9 +48,7 @@ class NativeBatch(DeepCopied, TaskBatch):
         restart_fraction: fraction of the episodes that start from a previously visited
             state (see `manip.envs.restart_buffer`).
         scene: a compiled scene to share, instead of building one.
-        dumps: folder for steps with non-finite numbers, one file each, for
-            `manip replay`; none are stored by default.
-        options: as in `TaskBatch`.
+        options: as in `EpisodeOptions`.
 
     Raises:
         UserError: the task is another library's, or an option is out of its range.
@@ -66,8 +65,7 @@ class NativeBatch(DeepCopied, TaskBatch):
         stagger: bool = False,
         restart_fraction: float = 0.0,
         scene: Scene | None = None,
-        dumps: Path | None = None,
-        **options: Unpack[EpisodeOptions],
+        **options: Any,
     ) -> None:
         if isinstance(task, ExternalTask):
             raise UserError(f"{task.name} is not on the batch engine")
@@ -76,6 +74,7 @@ class NativeBatch(DeepCopied, TaskBatch):
         check_robot_config(robot)
         check_choice("fidelity", fidelity, get_args(Fidelity))
         check_share("restart_fraction", restart_fraction)
+        episodes = EpisodeOptions(**options)
         with blamed(task):
             self.scene = scene or load_scene(
                 task.robosuite_name, task.sensors, robot, fidelity
@@ -88,8 +87,7 @@ class NativeBatch(DeepCopied, TaskBatch):
             RestartBuffer(milestones, self.engine.save()) if restart_fraction else None
         )
         self._robot, self._fidelity = robot, fidelity
-        self._dumps = dumps
-        super().__init__(task, num_envs, self.scene.layout.action_dim, **options)
+        super().__init__(task, num_envs, self.scene.layout.action_dim, episodes)
         with blamed(task):
             check_start(task, self.scene)
 
@@ -138,7 +136,7 @@ class NativeBatch(DeepCopied, TaskBatch):
         return self.engine.step(action)
 
     def _dump(self, fault: Fault) -> str:
-        folder = self._dumps
+        folder = self.dump_folder
         if not folder or not fault.step or _count(folder) >= MOST_DUMPS:
             return ""
         path = folder / f"{fault.name}.safetensors"

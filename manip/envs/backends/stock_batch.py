@@ -1,13 +1,14 @@
 """StockBatch: one environment of a task, stepped by robosuite itself."""
 
 from collections.abc import Mapping
-from typing import Any, Unpack
+from typing import Any
 
 import numpy as np
 
-from manip.envs.episode_streams import check_seed, episode_seed
+from manip.envs.episode_options import EpisodeOptions
+from manip.envs.episode_streams import episode_seed
 from manip.envs.task import Measures, Task
-from manip.envs.task_batch import EpisodeOptions, TaskBatch
+from manip.envs.task_batch import TaskBatch
 from manip.robot_config import RobotConfig
 from manip.sim.exclusive_use import ExclusiveUse
 from manip.sim.not_copied import NotCopied
@@ -31,7 +32,7 @@ class StockBatch(NotCopied, TaskBatch):
             what it samples when it builds (Lift's cube size) then varies.
         stock: a robosuite environment to step, instead of building one. It must be
             what `make_stock(task.robosuite_name, robot)` builds (see `check_stock`).
-        options: as in `TaskBatch`.
+        options: as in `EpisodeOptions`.
     """
 
     def __init__(
@@ -41,22 +42,20 @@ class StockBatch(NotCopied, TaskBatch):
         robot: RobotConfig = PANDA,
         hard_reset: bool = False,
         stock: Any = None,
-        **options: Unpack[EpisodeOptions],
+        **options: Any,
     ) -> None:
+        episodes = EpisodeOptions(**options)
         self.stock = stock or make_stock(
-            task.robosuite_name,
-            robot,
-            check_seed(options.get("seed", 0)),
-            hard_reset=hard_reset,
+            task.robosuite_name, robot, episodes.seed, hard_reset=hard_reset
         )
         if stock is not None:
-            horizon = options.get("horizon") or task.horizon
+            horizon = episodes.horizon or task.horizon
             check_stock(stock, task.robosuite_name, robot, horizon)
         self._reader = stock_reader(self.stock, task.sensors)
         self._memory = _blank(task)
         self._exclusive = ExclusiveUse("the robosuite environment")
         action_dim = self.stock.action_dim
-        super().__init__(task, 1, action_dim, **options)
+        super().__init__(task, 1, action_dim, episodes)
 
     def read(self) -> Measures:
         """As `manip.sim.stock_reader.stock_reader`."""

@@ -1,0 +1,38 @@
+"""Options of the episodes of a batch, checked when it is built."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from manip.envs.episode_streams import TRAINING, Purpose, check_purpose, check_seed
+from manip.errors import at_least
+
+
+@dataclass(frozen=True)
+class EpisodeOptions:
+    """Options of the episodes, which every backend takes.
+
+    Args:
+        horizon: episode length [control steps]; the task's own by default.
+        reward: reward set that is paid, "shaped" or "stock".
+        reward_weights: weights that replace those of the set, term -> weight.
+        seed: episode e of environment i depends on (seed, purpose, i, e) only.
+        purpose: see `manip.envs.episode_streams.Purpose`.
+        first_env: number of the first environment in the random streams; batches that
+            share a seed get episodes of their own by it.
+
+    Raises:
+        UserError: an option is out of its range.
+    """
+
+    horizon: int | None = None
+    reward: str = "shaped"
+    reward_weights: Mapping[str, float] | None = None
+    seed: int = 0
+    purpose: Purpose = TRAINING
+    first_env: int = 0
+
+    def __post_init__(self) -> None:
+        at_least(1, "horizon", 1 if self.horizon is None else self.horizon)
+        at_least(0, "first_env", self.first_env)
+        check_seed(self.seed)
+        check_purpose(self.purpose)
