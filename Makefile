@@ -47,11 +47,14 @@ PEERS = $(BIN)/python -c 'import tomllib; \
 peers: setup ## Install the libraries that manip benchmark compares with
 	$(PIP) install --quiet --constraint requirements.lock $$($(PEERS))
 
+# A file's tests share compiled scenes, so one process runs them all.
+PARALLEL := --numprocesses auto --maxprocesses 4 --dist loadfile
+
 test: setup ## Run the fast tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(PARALLEL)
 
 test-slow: setup ## Run the slow tests
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -m slow $(PARALLEL)
 
 lint: setup ## Check style, format and types
 	$(BIN)/ruff check

@@ -1,10 +1,13 @@
 """Tasks and compiled scenes, each built once, because robosuite takes 0.5 to 2 s."""
 
-from collections.abc import Callable
+import os
+import sys
+from collections.abc import Callable, Iterator
 
 import pytest
 import torch
 
+from manip import plugins
 from manip.envs.task import Task
 from manip.envs.task_registry import load_task
 from manip.robot_config import RobotConfig
@@ -14,6 +17,17 @@ from manip.sim.scene import Fidelity, Scene, build_scene
 torch.set_num_threads(1)
 
 SceneOf = Callable[..., Scene]
+
+
+@pytest.fixture(autouse=True)
+def _trust_again() -> Iterator[None]:
+    """Forget after each test which folders its files made untrusted."""
+    path, environment = list(sys.path), os.environ.get("PYTHONSAFEPATH")
+    yield
+    sys.path[:] = path
+    plugins._untrusted.clear()
+    if environment is None:
+        os.environ.pop("PYTHONSAFEPATH", None)
 
 
 @pytest.fixture(scope="session")

@@ -25,7 +25,10 @@ def stock_starts(settings: EpisodeSettings) -> list[np.ndarray]:
     return [env.reset()["observation"][0].numpy() for _ in range(settings.episodes)]
 
 
-@pytest.mark.parametrize("backend", ["native", "stock"])
+BACKENDS = ["native", pytest.param("stock", marks=pytest.mark.slow)]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
 def test_no_start_serves_two_purposes_or_two_seeds(backend: str) -> None:
     """Seed 0 of a run and of its evaluation had all of their starts in common."""
     groups = [starts(backend, purpose) for purpose in Purpose]
@@ -34,6 +37,6 @@ def test_no_start_serves_two_purposes_or_two_seeds(backend: str) -> None:
     assert len(set.union(*groups)) == 16
 
 
-@pytest.mark.parametrize("backend", ["native", "stock"])
+@pytest.mark.parametrize("backend", BACKENDS)
 def test_the_same_settings_give_the_same_starts(backend: str) -> None:
     assert starts(backend, CHOICE) == starts(backend, CHOICE)

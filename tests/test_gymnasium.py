@@ -317,7 +317,9 @@ assert type(load_task("tasks.press:Press")).__module__ == "tasks.press"
 
 
 @pytest.mark.skipif(gl.find_backend() is None, reason=gl.INSTALL_HINT)
-@pytest.mark.parametrize("where", ["native", "stock"])
+@pytest.mark.parametrize(
+    "where", ["native", pytest.param("stock", marks=pytest.mark.slow)]
+)
 def test_the_present_state_is_drawn(where: str) -> None:
     env = gymnasium.make("manip/Reach-v0", backend=where, render_mode="rgb_array")
     env.reset(seed=1)

@@ -95,6 +95,7 @@ def wait_for_metrics(path: Path, process: subprocess.Popen[str]) -> None:
         time.sleep(0.1)
 
 
+@pytest.mark.slow
 def test_sigterm_saves_and_exits_with_3_and_the_run_resumes(tmp_path: Path) -> None:
     out = tmp_path / "run"
     options = "--task Reach --algo ppo --num-envs 4 --eval-every 64 --eval-episodes 1"

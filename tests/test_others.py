@@ -226,7 +226,9 @@ def test_a_worker_that_died_is_an_error() -> None:
         pool.call("zfill", arguments)
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_workers_end_with_their_parent(number: signal.Signals, tmp_path: Path) -> None:
     """Even if it is killed: each holds hundreds of megabytes."""
     (tmp_path / "program.py").write_text(

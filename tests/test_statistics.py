@@ -70,6 +70,7 @@ def test_the_interval_over_seeds_contains_the_spread_between_seeds() -> None:
     assert rate_over_seeds(counts(80, 90, 100)) == spread
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seeds", "least"), [(3, 0.90), (5, 0.92)])
 def test_the_interval_over_seeds_covers_the_mean(seeds: int, least: float) -> None:
     drawn = simulate_counts(*LIFT, (400, seeds), EPISODES, seed=1)

@@ -84,6 +84,7 @@ def test_a_gradient_that_is_lost_in_noise_is_missing() -> None:
     assert np.isnan([result.noise.value, result.bias.value, result.floor]).all()
 
 
+@pytest.mark.slow
 def test_a_baseline_reduces_noise_and_the_longest_n_is_the_return() -> None:
     agent = make_agent(QUICK_A2C, seed=0)
     env = Points([32] * 16)
