@@ -47,8 +47,8 @@ PEERS = $(BIN)/python -c 'import tomllib; \
 peers: setup ## Install the libraries that manip benchmark compares with
 	$(PIP) install --quiet --constraint requirements.lock $$($(PEERS))
 
-# A file's tests share compiled scenes, so one process runs them all.
-PARALLEL := --numprocesses auto --maxprocesses 4 --dist loadfile
+# tests/conftest.py says which tests share a process.
+PARALLEL := --numprocesses auto --maxprocesses 4 --dist loadgroup
 
 test: setup ## Run the fast tests
 	$(BIN)/python -m pytest $(PARALLEL)

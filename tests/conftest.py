@@ -19,6 +19,18 @@ torch.set_num_threads(1)
 SceneOf = Callable[..., Scene]
 
 
+SHARED = ("test_parity", "test_task_rewards", "test_task_starts", "test_tasks")
+"""Files that use the scenes of all tasks: one process builds them once."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Let the tests of a file, or of the files in SHARED, run in one process."""
+    for item in items:
+        name = item.path.stem
+        group = "scenes" if name in SHARED else name
+        item.add_marker(pytest.mark.xdist_group(group))
+
+
 @pytest.fixture(autouse=True)
 def _trust_again() -> Iterator[None]:
     """Forget after each test which folders its files made untrusted."""
