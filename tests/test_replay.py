@@ -78,10 +78,10 @@ def test_one_step_is_what_was_stored(ends: str) -> None:
 
 @pytest.mark.parametrize("n", [2, 3, 20])
 @pytest.mark.parametrize("ends", [".........", "..t.|...t", "|..|....."])
-def test_rollouts_join_to_one(ends: str, n: int) -> None:
-    whole = replay_of(rollout(0, ends))
+def test_sums_end_with_the_rollout(ends: str, n: int) -> None:
     pieces = [rollout(at, ends[at : at + 3]) for at in (0, 3, 6)]
-    assert table(replay_of(*pieces), n) == table(whole, n)
+    alone = [table(replay_of(piece), n) for piece in pieces]
+    assert table(replay_of(*pieces), n) == alone[0] | alone[1] | alone[2]
 
 
 def test_environments_keep_apart() -> None:
@@ -90,8 +90,9 @@ def test_environments_keep_apart() -> None:
         for at, ends, other in ((0, "..", ".|"), (2, ".t", ".."))
     ]
     found = table(replay_of(*both), n=3)
-    alone = table(replay_of(rollout(0, "...t")), n=3)
-    other = table(replay_of(rollout(0, ".|..", env=1)), n=3)
+    alone = table(replay_of(rollout(0, ".."), rollout(2, ".t")), n=3)
+    pieces = rollout(0, ".|", env=1), rollout(2, "..", env=1)
+    other = table(replay_of(*pieces), n=3)
     assert found == alone | other
 
 
@@ -99,11 +100,12 @@ def test_environments_keep_apart() -> None:
 @pytest.mark.parametrize("n", [1, 3])
 def test_a_full_ring_forgets_the_oldest_and_no_link_leads_astray(capacity, n) -> None:
     ends = "...t....|......t......"
-    replay = replay_of(capacity=capacity)
-    for at in range(0, 22, 2):
-        replay.add(rollout(at, ends[at : at + 2]))
-        stored = range(max(0, at + 2 - capacity), at + 2)
-        whole = table(replay_of(rollout(0, ends[: at + 2]), capacity=30), n)
+    replay, large = replay_of(capacity=capacity), replay_of(capacity=30)
+    for at in range(0, 20, 5):
+        for buffer in (replay, large):
+            buffer.add(rollout(at, ends[at : at + 5]))
+        stored = range(max(0, at + 5 - capacity), at + 5)
+        whole = table(large, n)
         assert table(replay, n) == {t: whole[t] for t in stored}
 
 
@@ -213,8 +215,8 @@ def test_a_buffer_that_was_not_saved_is_filled_again() -> None:
     "damage",
     [
         *({"cursor": 999}, {"cursor": 2.5}, {"episodes": "x"}, {"owed": -1.0}),
-        *({"steps": -1}, {"heads": torch.tensor([99, 0, 0])}),
-        {"heads": torch.tensor([NONE])},
+        *({"steps": -1}, {"current": torch.zeros(3)}),
+        {"current": torch.full((1, 3), NONE)},
     ],
 )
 def test_damaged_counters_are_refused(damage: dict) -> None:

@@ -20,8 +20,7 @@ from torchrl.objectives.value import GAE
 
 from manip.agents.agent import Spaces
 from manip.agents.on_policy import OnPolicy, OnPolicyConfig, losses
-from manip.agents.value_targets import n_step_advantages
-from manip.errors import UserError
+from manip.agents.value_targets import check_steps, n_step_advantages
 from manip.io.option_ranges import COUNT, NUMBER, SHARE
 
 
@@ -47,7 +46,7 @@ class A2C(OnPolicy):
 
     def __init__(self, config: A2CConfig, spaces: Spaces, threads: int = 1) -> None:
         self.config = config
-        _check_steps(config)
+        check_steps(config.n_step or 1, config.rollout_length)
         super().__init__(config, spaces)
         self._gae = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None)
 
@@ -82,11 +81,3 @@ class A2C(OnPolicy):
             return self._gae(batch)
         n, gamma = self.config.n_step, self.config.gamma
         return n_step_advantages(batch, n, gamma, self.critic)
-
-
-def _check_steps(config: A2CConfig) -> None:
-    if config.n_step is not None and config.n_step > config.rollout_length:
-        raise UserError(
-            f"n_step is {config.n_step}, but a rollout has {config.rollout_length} "
-            "steps: set rollout_length to as many at least"
-        )

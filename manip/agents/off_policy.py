@@ -18,6 +18,7 @@ from torchrl.modules import ValueOperator
 from manip.agents.agent import Agent, AgentConfig, Spaces
 from manip.agents.networks import mlp
 from manip.agents.replay import Replay
+from manip.agents.value_targets import check_steps
 from manip.io.option_ranges import COUNT, NUMBER, SHARE, WHOLE, Range
 
 
@@ -28,7 +29,8 @@ class OffPolicyConfig(AgentConfig):
     gamma: Annotated[float, SHARE] = 0.95
     """Discount factor per control step."""
     n_step: Annotated[int, COUNT] = 3
-    """Rewards summed in a critic's target before it bootstraps (n-step return)."""
+    """Rewards summed in a critic's target before it bootstraps (n-step return); fewer
+    at the end of a rollout."""
     rollout_length: Annotated[int, COUNT] = 8
     """Control steps of each environment between two rounds of updates."""
     tau: Annotated[float, SHARE] = 0.01
@@ -60,6 +62,7 @@ class OffPolicy(Agent):
     off_policy = True
 
     def __init__(self, config: OffPolicyConfig, spaces: Spaces) -> None:
+        check_steps(config.n_step, config.rollout_length)
         self._options = config
         self.rollout_length = config.rollout_length
         self._replay = Replay(

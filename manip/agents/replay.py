@@ -1,9 +1,13 @@
 """Replay buffer of single steps; n-step transitions are formed when sampled.
 
 A ring of rows, one for each control step. Each row has a link to the row of the next
-step of its episode, or NONE. A row is overwritten before any row that it links to, so a
-link never leads to foreign data. A link ends where the episode ends, and at the newest
-step of each environment, which gets its link when the next rollout arrives.
+step of its episode in the same rollout, or NONE. A row is overwritten before any row
+that it links to, so a link never leads to foreign data.
+
+Sums end with the rollout, and bootstrap there, although the next rollout is stored as
+well. With sums across rollouts of 8 steps (n = 3), SAC learned Lift less well: success
+was held in 96, 98, 88 and 96 % of 300 episodes (seeds 20 to 23), against 98, 99, 98 and
+97 % with sums that end.
 
 Rows are relabelled or sampled with another n or discount without new experience.
 """
@@ -19,7 +23,7 @@ from manip.agents.trajectory import episode_starts, reward_terms
 from manip.errors import UserError
 
 NONE = -1
-"""Link of a row whose successor is unknown, or in another episode."""
+"""Link of a row that is the last of its episode or rollout."""
 
 RewardFunction = Callable[[TensorDictBase], Tensor]
 """Rollout [N, T] -> reward [N, T, 1]."""
@@ -46,7 +50,6 @@ class Replay:
         self._widths = observation_dim, action_dim
         self._columns = _allocate(capacity, observation_dim, action_dim)
         self._size = self._cursor = self._episodes = 0
-        self._heads = torch.empty(0, dtype=torch.int64)
         self._current = torch.empty(0, dtype=torch.int64)
 
     def __len__(self) -> int:
@@ -81,7 +84,7 @@ class Replay:
         """Form the transitions of up to n steps that begin at the given rows.
 
             R = r_t + gamma r_{t+1} + ... + gamma^(m-1) r_{t+m-1},
-            s' = s_{t+m},  m = min(n, steps to the episode's end or the newest step)
+            s' = s_{t+m},  m = min(n, steps to the end of the episode or rollout)
 
         Returns:
             [B, 2 O + A + 3]: observation, action, s', R, m, whether s' is terminal.
@@ -144,7 +147,6 @@ class Replay:
         return {
             "buffer": stored if rows else None,
             "cursor": self._cursor if rows else 0,
-            "heads": self._heads if rows else torch.full_like(self._heads, NONE),
             "current": self._current,
             "episodes": self._episodes,
         }
@@ -164,14 +166,13 @@ class Replay:
         for name, column in (stored or {}).items():
             self._columns[name][:size] = column
         self._size, self._cursor = size, state["cursor"]
-        self._heads, self._current = state["heads"].clone(), state["current"].clone()
+        self._current = state["current"].clone()
         self._episodes = state["episodes"]
 
     def _prepare(self, batch: TensorDictBase) -> None:
         """Make room for reward terms, and begin anew with other environments."""
         self._fit_terms(reward_terms(batch))
-        if len(self._heads) != len(batch):
-            self._heads = torch.full((len(batch),), NONE)
+        if len(self._current) != len(batch):
             self._current = torch.full((len(batch),), NONE)
 
     def _fit_terms(self, terms: Tensor) -> None:
@@ -204,12 +205,10 @@ class Replay:
             self._columns[name][rows] = value.flatten(0, 1)
 
     def _link(self, rows: Tensor, ended: Tensor) -> None:
-        """Link the rows [N, T] of a rollout to each other and to the last one's."""
-        link, known = self._columns["link"], self._heads != NONE
-        link[self._heads[known]] = rows[known, 0]  # may be overwritten below
+        """Link the rows [N, T] of a rollout to each other."""
+        link = self._columns["link"]
         link[rows[:, :-1]] = torch.where(ended[:, :-1], NONE, rows[:, 1:])
         link[rows[:, -1]] = NONE
-        self._heads = torch.where(ended[:, -1], NONE, rows[:, -1])
 
 
 def _allocate(capacity: int, observations: int, actions: int) -> dict[str, Tensor]:
@@ -248,13 +247,13 @@ def _check_columns(
 
 
 def _check_links(state: Mapping[str, Any], size: int, capacity: int) -> None:
-    cursor, heads, current = state["cursor"], state["heads"], state["current"]
+    cursor, current = state["cursor"], state["current"]
     if not (isinstance(cursor, int) and isinstance(state["episodes"], int)):
         raise ValueError("the replay buffer's counters are not whole numbers")
     if not 0 <= cursor < capacity or (size < capacity and cursor != size):
         raise ValueError(f"the replay buffer's cursor is {cursor}")
-    links = [heads, state["buffer"]["link"]] if size else [heads]
-    if any(((link < NONE) | (link >= size)).any() for link in links):
+    link = state["buffer"]["link"] if size else current[:0]
+    if ((link < NONE) | (link >= size)).any():
         raise ValueError("the replay buffer links to steps that are not stored")
-    if heads.shape != current.shape or heads.dtype != current.dtype:
-        raise ValueError("the replay buffer is of another number of environments")
+    if current.dtype != torch.int64 or current.ndim != 1:
+        raise ValueError("the replay buffer's episode numbers are no row of integers")

@@ -4,6 +4,8 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import nn
 
+from manip.errors import UserError
+
 
 @torch.no_grad()
 def add_values(batch: TensorDictBase, critic: nn.Module) -> TensorDictBase:
@@ -77,3 +79,16 @@ def n_step_advantages(
     target = steps["next", "reward"] + discount * alive * future
     batch.set("value_target", target)
     return batch.set("advantage", target - batch["state_value"])
+
+
+def check_steps(n_step: int, rollout_length: int) -> None:
+    """Refuse sums of more rewards than a rollout has steps.
+
+    Raises:
+        UserError: n_step is above rollout_length.
+    """
+    if n_step > rollout_length:
+        raise UserError(
+            f"n_step is {n_step}, but a rollout has {rollout_length} steps: set "
+            "rollout_length to as many at least"
+        )

@@ -1,9 +1,9 @@
 """Train from Python: one call, in any thread or process.
 
-    from manip.training.config import recipe
-    from manip.training.run import train
+from manip.training.config import recipe
+from manip.training.run import train
 
-    result = train(recipe("Lift", "sac"), callback=print)
+result = train(recipe("Lift", "sac"), callback=print)
 """
 
 import threading
