@@ -1,7 +1,6 @@
 """Train from Python: one call, in any thread or process.
 
-    from manip.training.checkpoint import Checkpoints
-from manip.training.config import recipe
+    from manip.training.config import recipe
     from manip.training.run import train
 
     result = train(recipe("Lift", "sac"), callback=print)
