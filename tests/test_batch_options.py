@@ -137,3 +137,29 @@ def test_an_action_of_another_shape_or_kind_is_refused(
     with pytest.raises(UserError, match="the action"):
         batch.step(action)
     np.testing.assert_array_equal(batch.elapsed, before)
+
+
+@pytest.mark.parametrize("backend", ["native", "stock"])
+@pytest.mark.parametrize(
+    "env_ids",
+    [
+        [-1], [1], [0, 0], [True], [0.0], [[0]], 0, None, "0", slice(None), [2**40],
+        [[0], [0, 0]],
+    ],
+)  # fmt: skip
+def test_environments_that_do_not_exist_do_not_begin(
+    env_ids, backend: str, lift: Task, lift_scene: Scene
+) -> None:
+    batch = batches(lift_scene, lift)[backend]
+    with pytest.raises(UserError, match="env_ids must be different whole numbers"):
+        batch.begin(env_ids)
+    assert batch.episode[0] == -1
+
+
+@pytest.mark.parametrize("env_ids", [[0], (0,), np.array([0], np.uint8)])
+def test_environments_begin_by_any_sequence_of_indices(
+    env_ids, lift: Task, lift_scene: Scene
+) -> None:
+    batch = batches(lift_scene, lift)["native"]
+    batch.begin(env_ids)
+    assert batch.episode[0] == 0
