@@ -101,6 +101,23 @@ def test_train_leaves_torch_threads_as_they_were(tmp_path: Path) -> None:
     assert set(threads) == {1}
 
 
+def test_train_leaves_torchs_random_numbers_as_they_were(tmp_path: Path) -> None:
+    before = torch.get_rng_state()
+    train(tiny("ppo", tmp_path / "run", steps=64))
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+def test_a_stop_in_the_last_report_leaves_a_finished_run(tmp_path: Path) -> None:
+    config, stop = tiny("ppo", tmp_path / "run", steps=64), Event()
+
+    def stop_at_the_end(progress: Progress) -> None:
+        if progress.env_steps == progress.total_steps:
+            stop.set()
+
+    result = train(config, callback=stop_at_the_end, stop=stop)
+    assert (result.env_steps, result.finished) == (64, True)
+
+
 class Paid:
     """A reward function that stores what it is given and pays a constant."""
 
