@@ -14,6 +14,7 @@ from pathlib import Path
 
 import torch
 
+from manip.errors import UserError, shown
 from manip.rewards.reward_function import EnvironmentReward, RewardFunction
 from manip.training.checkpoint import Checkpoints
 from manip.training.config import TrainConfig
@@ -72,6 +73,11 @@ def train(
         UserError: an option does not fit, the folder holds another run or other files,
             or disk or memory are full.
     """
+    if not isinstance(config, TrainConfig):
+        raise UserError(
+            f"config must be a TrainConfig, as recipe(task, algo) gives it, not "
+            f"{shown(config)}"
+        )
     with _torch_settings(), memory_errors():
         trainer = Trainer(
             config,
