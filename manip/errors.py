@@ -53,7 +53,7 @@ def unknown(kind: str, name: object, known: Iterable[str]) -> UserError:
     close = get_close_matches(shown(name).strip("'").casefold(), names, n=1)
     hint = f"did you mean {names[close[0]]!r}? " if close else ""
     listing = ", ".join(names.values())
-    kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
+    kinds = f"{kind[:-1]}ies" if kind.endswith(("ry", "gy")) else f"{kind}s"
     return UserError(f"unknown {kind} {shown(name)}: {hint}known {kinds}: {listing}")
 
 
