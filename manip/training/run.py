@@ -1,5 +1,7 @@
 """Train from Python: one call, in any thread or process.
 
+Example:
+
     from manip.training.config import recipe
     from manip.training.run import train
 
