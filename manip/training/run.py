@@ -1,6 +1,6 @@
 """Train from Python: one call, in any thread or process.
 
-Example:
+`recipe` gives tuned options, and `train` a `RunResult`:
 
     from manip.training.config import recipe
     from manip.training.run import train
