@@ -19,9 +19,10 @@ class DamagedError(UserError):
 
 def at_least(least: int, name: str, value: object) -> None:
     """Raise `UserError` unless the value is a whole number from `least` to `MOST`."""
-    if not isinstance(value, Integral) or int(value) < least:
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not whole or int(value) < least:  # type: ignore[call-overload]
         raise UserError(f"{name} must be at least {least}, not {shown(value)}")
-    if int(value) > MOST:
+    if int(value) > MOST:  # type: ignore[call-overload]
         raise UserError(f"{name} must be at most {MOST}, not {shown(value)}")
 
 
@@ -52,7 +53,7 @@ def unknown(kind: str, name: object, known: Iterable[str]) -> UserError:
     close = get_close_matches(shown(name).strip("'").casefold(), names, n=1)
     hint = f"did you mean {names[close[0]]!r}? " if close else ""
     listing = ", ".join(names.values())
-    kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
+    kinds = f"{kind[:-1]}ies" if kind.endswith(("ry", "gy")) else f"{kind}s"
     return UserError(f"unknown {kind} {shown(name)}: {hint}known {kinds}: {listing}")
 
 

@@ -69,6 +69,20 @@ WRONG_OPTIONS = [
     ({"robot": 5}, "robot must be a RobotConfig or an arm's name, not 5"),
     ({"robot": RobotConfig(control_freq=30)}, "control_freq 30 is not supported"),
     ({"robot": RobotConfig(controller="OSC")}, "unknown controller 'OSC'"),
+    ({"num_envs": True}, "num_envs must be at least 1, not True"),
+    ({"horizon": True}, "horizon must be at least 1, not True"),
+    ({"threads": True}, "threads must be at least 1, not True"),
+    ({"first_env": True}, "first_env must be at least 0, not True"),
+    ({"restart_fraction": True}, "restart_fraction must be a number from 0 to 1"),
+    ({"stagger": "no"}, "stagger must be True or False, not 'no'"),
+    ({"scene": 3}, "scene must be a Scene, not 3"),
+    ({"horizn": 3}, "unknown option 'horizn': did you mean 'horizon'"),
+    ({"hard_reset": True}, "unknown option 'hard_reset': .*known options: fid"),
+    ({"backend": "stock", "num_envs": 1, "threads": 1}, "unknown option 'threads'"),
+    ({"backend": "stock", "num_envs": 1, "hard_reset": "no"}, "hard_reset must be Tru"),
+    ({"task": 3}, "task must be a Task or its name, not 3"),
+    ({"task": Tiny}, "task must be a Task or its name, not <class"),
+    ({"task": "dm_control/reach_site_features", "stagger": 2}, "stagger must be True"),
     ({"backend": "stok"}, "unknown backend 'stok': did you mean 'stock'"),
 ]
 
@@ -78,9 +92,10 @@ def test_options_out_of_range_are_refused(
     options: dict, message: str, tiny_scene: Scene
 ) -> None:
     """Where the robot is given, the scene must be built for it."""
-    shared = {} if "robot" in options else {"scene": tiny_scene}
+    other = {"robot", "task"} & set(options) or options.get("backend") == "stock"
+    shared = {} if other else {"scene": tiny_scene}
     with pytest.raises(UserError, match=message):
-        make_batch(Tiny(), **({"num_envs": 2} | shared | options))
+        make_batch(**({"task": Tiny(), "num_envs": 2} | shared | options))
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, 2**64, "1"])
@@ -137,3 +152,37 @@ def test_an_action_of_another_shape_or_kind_is_refused(
     with pytest.raises(UserError, match="the action"):
         batch.step(action)
     np.testing.assert_array_equal(batch.elapsed, before)
+
+
+@pytest.mark.parametrize("backend", ["native", "stock"])
+@pytest.mark.parametrize(
+    "env_ids",
+    [
+        [-1], [1], [0, 0], [True], [0.0], [[0]], 0, None, "0", slice(None), [2**40],
+        [[0], [0, 0]],
+    ],
+)  # fmt: skip
+def test_environments_that_do_not_exist_do_not_begin(
+    env_ids, backend: str, lift: Task, lift_scene: Scene
+) -> None:
+    batch = batches(lift_scene, lift)[backend]
+    with pytest.raises(UserError, match="env_ids must be different whole numbers"):
+        batch.begin(env_ids)
+    assert batch.episode[0] == -1
+
+
+@pytest.mark.parametrize("env_ids", [[0], (0,), np.array([0], np.uint8)])
+def test_environments_begin_by_any_sequence_of_indices(
+    env_ids, lift: Task, lift_scene: Scene
+) -> None:
+    batch = batches(lift_scene, lift)["native"]
+    batch.begin(env_ids)
+    assert batch.episode[0] == 0
+
+
+@pytest.mark.parametrize("state", [{}, None, [], {"states": np.zeros((1, 39))}])
+def test_a_saved_state_without_its_parts_is_refused(
+    state, lift: Task, lift_scene: Scene
+) -> None:
+    with pytest.raises(UserError, match="saved state"):
+        batches(lift_scene, lift)["native"].load_state(state)

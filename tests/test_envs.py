@@ -215,3 +215,11 @@ def test_a_task_of_ones_own_is_found_by_its_path() -> None:
 def test_a_wrong_path_says_what_is_wrong(path: str, text: str) -> None:
     with pytest.raises(UserError, match=text):
         load_task(path)
+
+
+def test_an_action_may_need_gradients(tiny_scene: Scene) -> None:
+    """As in TorchRL's own environments, it is detached."""
+    env = native(Tiny(), tiny_scene)
+    state = env.reset()
+    state["action"] = torch.zeros(*env.batch_size, 7, requires_grad=True)
+    assert not env.step(state)["next", "observation"].requires_grad

@@ -8,6 +8,7 @@ import pytest
 
 from manip.errors import UserError
 from manip.sim.batch_engine import BatchEngine
+from manip.sim.fields import field_slots
 from manip.sim.robosuite_factory import make_stock
 from manip.sim.scene import Scene, build_scene, load_scene
 from manip.sim.sensors import Sensors
@@ -206,3 +207,14 @@ def test_in_the_fast_fidelity_a_field_of_a_geom_it_lacks_is_for_pictures() -> No
     engine.step(np.zeros((1, 7)))
     for field, expected in values.items():
         np.testing.assert_array_equal(engine.read()[field], expected)
+
+
+@pytest.mark.parametrize("target", [None, 3, b"cube_g0"])
+def test_an_object_that_is_no_name_is_refused(target, lift_scene: Scene) -> None:
+    with pytest.raises(UserError, match="unknown geom"):
+        field_slots(lift_scene.visual, {"a": ("geom_friction", target)})
+
+
+def test_an_unknown_array_lists_the_arrays(lift_scene: Scene) -> None:
+    with pytest.raises(UserError, match="known model arrays: "):
+        field_slots(lift_scene.visual, {"a": ("geom_type", "cube_g0")})

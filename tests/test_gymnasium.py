@@ -104,8 +104,42 @@ def test_mistakes_are_errors() -> None:
         gymnasium.make("manip/Reach-v0", backend="stok")
     with pytest.raises(UserError, match="unknown reward 'sparse'"):
         gymnasium.make("manip/Reach-v0", reward="sparse")
-    with pytest.raises(TypeError, match=r"multiple values for keyword .*'seed'"):
-        TaskVectorEnv("Reach", 2, seed=1)
+
+
+@pytest.mark.parametrize("build", [TaskEnv, TaskVectorEnv])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"horizon": 9}, "option 'horizon' is not Gymnasium's: use max_episode_steps"),
+        ({"seed": 9}, "option 'seed' is not Gymnasium's: use reset"),
+        ({"thread": 1}, "unknown option 'thread': did you mean 'threads'"),
+        ({"render_mode": "human"}, "unknown (render mode|option)"),
+    ],
+)
+def test_options_of_another_name_are_refused(build, options: dict, message) -> None:
+    with pytest.raises(UserError, match=message):
+        build("Reach", **options)
+
+
+class NeedsGradient:
+    """Refuses to become an array, as torch's tensors that need gradients do."""
+
+    def __array__(self, *_: object, **__: object) -> Array:
+        raise RuntimeError("Can't call numpy() on Tensor that requires grad")
+
+
+@pytest.mark.parametrize("action", [np.zeros(6), np.zeros((1, 7)), NeedsGradient()])
+def test_an_action_of_another_shape_is_refused(action) -> None:
+    env = TaskEnv("Reach")
+    env.reset(seed=0)
+    with pytest.raises(UserError, match=r"the action .*\(7,\)"):
+        env.step(action)
+
+
+def test_a_reset_of_some_environments_is_refused(reaches: Make) -> None:
+    envs = reaches(num_envs=2)
+    with pytest.raises(UserError, match="reset_mask is not supported"):
+        envs.reset(options={"reset_mask": np.array([True, False])})
 
 
 def test_stepping_environments_does_not_load_torch() -> None:

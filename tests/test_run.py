@@ -101,6 +101,29 @@ def test_train_leaves_torch_threads_as_they_were(tmp_path: Path) -> None:
     assert set(threads) == {1}
 
 
+@pytest.mark.parametrize("config", [None, {"task": "Reach"}, "Reach"])
+def test_a_config_of_another_kind_is_refused(config) -> None:
+    with pytest.raises(UserError, match="config must be a TrainConfig"):
+        train(config)
+
+
+def test_train_leaves_torchs_random_numbers_as_they_were(tmp_path: Path) -> None:
+    before = torch.get_rng_state()
+    train(tiny("ppo", tmp_path / "run", steps=64))
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+def test_a_stop_in_the_last_report_leaves_a_finished_run(tmp_path: Path) -> None:
+    config, stop = tiny("ppo", tmp_path / "run", steps=64), Event()
+
+    def stop_at_the_end(progress: Progress) -> None:
+        if progress.env_steps == progress.total_steps:
+            stop.set()
+
+    result = train(config, callback=stop_at_the_end, stop=stop)
+    assert (result.env_steps, result.finished) == (64, True)
+
+
 class Paid:
     """A reward function that stores what it is given and pays a constant."""
 
@@ -135,6 +158,7 @@ def test_the_agent_learns_from_the_reward_function(tmp_path: Path) -> None:
         (lambda r: r["next", "reward"][:, :1], r"Tensor \[4, 1, 1\], not"),
         (lambda r: 1.0, r"float \[\], not a tensor \[4, 16, 1\]"),
         (Paid(float("nan")), "numbers that are not finite"),
+        (lambda r: r["next", "reward"] + 1j, "not finite or not real"),
     ],
 )
 def test_a_reward_of_another_form_is_refused(reward, message, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
+from manip.errors import UserError
 from manip.evaluation.statistics import (
     SeedCount,
     compare_seeds,
@@ -118,3 +119,19 @@ def test_a_comparison_needs_three_seeds_and_goes_both_ways() -> None:
 def test_seeds_that_agree_by_chance_are_no_proof() -> None:
     """Without a least variance, 98 98 98 against 99 99 99 would be certain."""
     assert compare_seeds(counts(98, 98, 98), counts(99, 99, 99)) == "agrees"
+
+
+@pytest.mark.parametrize(("successes", "episodes"), [(0, 0), (3, 2), (-1, 5), (0, -1)])
+def test_counts_that_cannot_be_are_refused(successes: int, episodes: int) -> None:
+    count = SeedCount(successes, episodes)
+    with pytest.raises(UserError, match="a success rate needs at least one episode"):
+        wilson_rate(successes, episodes)
+    with pytest.raises(UserError, match="a success rate needs at least one episode"):
+        rate_over_seeds([count, count])
+    with pytest.raises(UserError, match="a success rate needs at least one episode"):
+        compare_seeds([count] * 3, [count] * 3)
+
+
+def test_a_rate_of_no_seeds_is_refused() -> None:
+    with pytest.raises(UserError, match="at least one training seed"):
+        rate_over_seeds([])

@@ -1,10 +1,14 @@
 """Build a batch of task environments: the one function that every program uses."""
 
+import inspect
+from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any, Literal, get_args
 
 from manip.envs.backends.external_batch import ExternalBatch
 from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.backends.stock_batch import StockBatch
+from manip.envs.episode_options import EpisodeOptions
 from manip.envs.external_task import ExternalTask
 from manip.envs.task import Task
 from manip.envs.task_batch import TaskBatch
@@ -42,6 +46,8 @@ def make_batch(
     check_choice("backend", backend, get_args(Backend))
     robot = robot_config_of(robot)
     loaded = load_task(task) if isinstance(task, str) else task
+    if not isinstance(loaded, Task):
+        raise UserError(f"task must be a Task or its name, not {shown(task)}")
     with exits_blamed(loaded):
         return _build(loaded, num_envs, backend, robot, options)
 
@@ -69,12 +75,23 @@ def _build(
     options: dict[str, Any],
 ) -> TaskBatch:
     if isinstance(task, ExternalTask):
+        _check_names(options, ExternalBatch)
         return ExternalBatch(task, num_envs, robot=robot, **options)
     if backend == "native":
+        _check_names(options, NativeBatch)
         return NativeBatch(task, num_envs, robot=robot, **options)
     if num_envs != 1:
         raise UserError(
             f"the stock backend steps one environment, not {shown(num_envs)}: start "
             "several processes, or choose the native backend"
         )
+    _check_names(options, StockBatch)
     return StockBatch(task, robot=robot, **options)
+
+
+def _check_names(options: Mapping[str, Any], batch: type[TaskBatch]) -> None:
+    """Raise `UserError` for an option that neither the backend nor episodes have."""
+    own = inspect.getfullargspec(batch.__init__).kwonlyargs
+    known = {*own, *(field.name for field in fields(EpisodeOptions))}
+    for name in options:
+        check_choice("option", name, known)

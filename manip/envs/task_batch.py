@@ -26,6 +26,7 @@ from manip.errors import UserError, at_least, check_choice
 from manip.observation import vector_spec
 from manip.rewards.compose import override_weights, weighted_sum
 from manip.sim.actions import checked_actions
+from manip.sim.env_ids import checked_env_ids
 
 Array = np.ndarray
 
@@ -154,7 +155,15 @@ class TaskBatch(ABC):
         self._begun[:] = False
 
     def begin(self, env_ids: Array) -> None:
-        """Start the next episode in the given environments [n] int."""
+        """Start the next episode in some environments.
+
+        Args:
+            env_ids: [n] int, each at most once.
+
+        Raises:
+            UserError: there are no such environments.
+        """
+        env_ids = checked_env_ids(env_ids, self.num_envs)
         self.episode[env_ids] += 1
         self.elapsed[env_ids] = 0
         self._begun[env_ids] = True

@@ -8,6 +8,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from manip.errors import UserError
+
 Array = np.ndarray
 
 Z = NormalDist().inv_cdf(0.975)
@@ -53,7 +55,11 @@ def wilson_rate(successes: int, episodes: int) -> Rate:
     Wilson score interval (Wilson 1927), written out because importing scipy.stats
     takes longer than the first second of a training run:
     (p + z^2/2n +- z sqrt(p (1 - p)/n + z^2/4n^2)) / (1 + z^2/n).
+
+    Raises:
+        UserError: there are no episodes, or more successes than episodes.
     """
+    _check_counts([SeedCount(successes, episodes)])
     rate = successes / episodes
     centre = rate + Z**2 / (2 * episodes)
     half = Z * sqrt(rate * (1 - rate) / episodes + Z**2 / (4 * episodes**2))
@@ -73,7 +79,11 @@ def rate_over_seeds(counts: Sequence[SeedCount]) -> Rate:
     95 % intervals of 3, 5 and 10 seeds cover 93, 94 and 95 %.
 
     With one seed there is no spread to measure: the result is `wilson_rate`.
+
+    Raises:
+        UserError: there are no seeds, or one without episodes.
     """
+    _check_counts(counts)
     mean = sum(c.successes / c.episodes for c in counts) / len(counts)
     if len(counts) == 1:
         return wilson_rate(*counts[0])
@@ -81,6 +91,17 @@ def rate_over_seeds(counts: Sequence[SeedCount]) -> Rate:
     widen = sqrt(len(counts) / (len(counts) - 1))
     low, high = mean - widen * (mean - low), mean + widen * (high - mean)
     return Rate(mean, float(np.clip(low, 0, mean)), float(np.clip(high, mean, 1)))
+
+
+def _check_counts(counts: Sequence[SeedCount]) -> None:
+    if not counts:
+        raise UserError("a success rate needs at least one training seed")
+    for successes, episodes in counts:
+        if not 0 <= successes <= episodes or episodes < 1:
+            raise UserError(
+                f"a success rate needs at least one episode, and no more successes "
+                f"than episodes, not {successes} of {episodes}"
+            )
 
 
 def _resampled_means(counts: Sequence[SeedCount]) -> Array:
@@ -101,10 +122,14 @@ def compare_seeds(new: Sequence[SeedCount], stored: Sequence[SeedCount]) -> Comp
     episodes) unchanged groups of 3 to 5 seeds are called worse in less than 5 % of
     comparisons; a drop of the mean to 85 % is detected in 70 % of comparisons of 3 with
     3 seeds, 93 % of 5 with 5.
+
+    Raises:
+        UserError: a seed has no episodes.
     """
     freedom = len(new) + len(stored) - 2
     if not (new and stored and freedom > 0):
         return "cannot tell"
+    _check_counts([*new, *stored])
     from scipy.special import stdtrit  # takes 0.4 s to import
 
     critical = float(stdtrit(freedom, 1 - LEVEL))

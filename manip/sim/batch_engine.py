@@ -13,9 +13,10 @@ import mujoco
 import numpy as np
 
 from manip.cpus import usable_cpus
-from manip.errors import UserError, at_least, check_choice, shown
+from manip.errors import UserError, at_least, check_choice
 from manip.sim.actions import checked_actions
 from manip.sim.engine import Snapshot
+from manip.sim.env_ids import checked_env_ids
 from manip.sim.exclusive_use import ExclusiveUse
 from manip.sim.fields import write_slot
 from manip.sim.not_copied import NotCopied
@@ -131,7 +132,7 @@ class BatchEngine(NotCopied):
         self, env_ids: Array, qpos: Array, fields: Mapping[str, Array] | None = None
     ) -> None:
         """As `Engine.reset`."""
-        env_ids = self._checked_ids(env_ids)
+        env_ids = checked_env_ids(env_ids, self.num_envs)
         rows = np.tile(self._default, (len(env_ids), 1))
         self._fill(rows, "qpos", qpos)
         start_pos = rows[:, self._columns["qpos"]][:, self.scene.layout.arm.qpos]
@@ -151,7 +152,7 @@ class BatchEngine(NotCopied):
         memory: Mapping[str, Array] | None = None,
     ) -> None:
         """As `Engine.set_state`."""
-        env_ids = self._checked_ids(env_ids)
+        env_ids = checked_env_ids(env_ids, self.num_envs)
         rows = self._now.states[env_ids]
         self._fill(rows, "qpos", qpos)
         self._fill(rows, "qvel", qvel)
@@ -170,6 +171,7 @@ class BatchEngine(NotCopied):
 
     def write_memory(self, env_ids: Array, memory: Mapping[str, Array]) -> None:
         """As `Engine.write_memory`."""
+        env_ids = checked_env_ids(env_ids, self.num_envs)
         with self._exclusive:
             self.changes += 1
             for name, values in memory.items():
@@ -262,18 +264,6 @@ class BatchEngine(NotCopied):
         part = rows[:, self._columns[name]]
         _check_shape(name, values, part.shape)
         part[:] = values
-
-    def _checked_ids(self, env_ids: Array) -> Array:
-        ids = np.asarray(env_ids)
-        whole = ids.dtype.kind in "iu" or not ids.size
-        different = ids.ndim == 1 and len(np.unique(ids)) == len(ids)
-        last = self.num_envs - 1
-        if not whole or not different or (ids < 0).any() or (ids > last).any():
-            raise UserError(
-                f"env_ids must be different whole numbers from 0 to {last}, "
-                f"not {shown(env_ids)}"
-            )
-        return ids.astype(np.int64)
 
     def _refresh(self, env_ids: Array) -> None:
         now, counter = self._now, np.zeros(1, np.int64)

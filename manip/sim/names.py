@@ -24,6 +24,8 @@ def lookup(model: mujoco.MjModel, kind: str, name: str) -> int:
 
 def find(model: mujoco.MjModel, kind: str, name: str) -> int:
     """Id of a named body, site, geom, ..., or -1."""
+    if not isinstance(name, str):
+        return -1  # MuJoCo would end the process
     return mujoco.mj_name2id(
         model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), name
     )

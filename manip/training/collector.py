@@ -163,7 +163,8 @@ def _set_reward(batch: TensorDictBase, reward: RewardFunction) -> None:
     """Replace the reward [N, T, 1] of a rollout.
 
     Raises:
-        UserError: the function returns another shape, or numbers that are not finite.
+        UserError: the function returns another shape, or numbers that are not finite
+            or not real.
     """
     value, expected = reward(batch), batch["next", "reward"]
     if not isinstance(value, torch.Tensor) or value.shape != expected.shape:
@@ -172,8 +173,10 @@ def _set_reward(batch: TensorDictBase, reward: RewardFunction) -> None:
             f"the reward function returned {type(value).__name__} {shape}, not a "
             f"tensor {list(expected.shape)}"
         )
-    if not value.isfinite().all():
-        raise UserError("the reward function returned numbers that are not finite")
+    if value.is_complex() or not value.isfinite().all():
+        raise UserError(
+            "the reward function returned numbers that are not finite or not real"
+        )
     batch["next", "reward"] = value.detach().to(expected.dtype)
 
 

@@ -1,9 +1,11 @@
 """Train from Python: one call, in any thread or process.
 
-from manip.training.config import recipe
-from manip.training.run import train
+`recipe` gives tuned options, and `train` a `RunResult`:
 
-result = train(recipe("Lift", "sac"), callback=print)
+    from manip.training.config import recipe
+    from manip.training.run import train
+
+    result = train(recipe("Lift", "sac"), callback=print)
 """
 
 import threading
@@ -14,6 +16,7 @@ from pathlib import Path
 
 import torch
 
+from manip.errors import UserError, shown
 from manip.rewards.reward_function import EnvironmentReward, RewardFunction
 from manip.training.checkpoint import Checkpoints
 from manip.training.config import TrainConfig
@@ -56,7 +59,9 @@ def train(
 
     On the main thread, Ctrl-C, SIGTERM and SIGHUP save the run and end it. On other
     threads signals keep their meaning: use `stop`. While the run goes on, torch uses
-    one thread, as the sums of several would differ.
+    one thread, as the sums of several would differ, and its global random generator
+    belongs to the run; both are restored afterwards. Two runs at a time in one process
+    share that generator and do not repeat bit for bit: use processes.
 
     Args:
         config: options of the run; `manip.training.config.recipe` gives tuned ones.
@@ -70,7 +75,12 @@ def train(
         UserError: an option does not fit, the folder holds another run or other files,
             or disk or memory are full.
     """
-    with _one_torch_thread(), memory_errors():
+    if not isinstance(config, TrainConfig):
+        raise UserError(
+            f"config must be a TrainConfig, as recipe(task, algo) gives it, not "
+            f"{shown(config)}"
+        )
+    with _torch_settings(), memory_errors():
         trainer = Trainer(
             config,
             callback or ignore,
@@ -111,11 +121,12 @@ def _success(rows: Sequence[dict[str, float]], best: list[float]) -> dict[str, f
 
 
 @contextmanager
-def _one_torch_thread() -> Iterator[None]:
-    """Have torch use one thread, and as many as before afterwards."""
+def _torch_settings() -> Iterator[None]:
+    """Have torch use one thread; restore threads and random numbers afterwards."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        yield
+        with torch.random.fork_rng(devices=[]):
+            yield
     finally:
         torch.set_num_threads(threads)

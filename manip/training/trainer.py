@@ -73,7 +73,11 @@ class Trainer:
                 log = RunLog(self.folder, self.state.rows, self.config.wandb)
                 with log as self._log:
                     self._train()
-        return not self.stopping
+        return self._complete
+
+    @property
+    def _complete(self) -> bool:
+        return self.state.env_steps >= self.config.steps
 
     def close(self) -> None:
         """End the threads that collect."""
@@ -86,7 +90,7 @@ class Trainer:
         self._clock = self._began - self.state.seconds
 
     def _train(self) -> None:
-        while self.state.env_steps < self.config.steps and not self.stopping:
+        while not (self._complete or self.stopping):
             due = self._next_evaluation()
             used = time.process_time()
             self._advance()
@@ -100,7 +104,7 @@ class Trainer:
         self._end()
 
     def _end(self) -> None:
-        if self.stopping:
+        if not self._complete:
             self._save()
             steps = f"{self.state.env_steps:,}"
             self._report(f"stopped at step {steps}{self._how_to_resume()}")

@@ -8,6 +8,7 @@ from dm_env import specs
 
 from manip.envs.make_batch import Backend, make_batch
 from manip.envs.time_step import TimeStep
+from manip.sim.actions import batch_of_one
 
 Array = np.ndarray
 
@@ -42,7 +43,7 @@ class TaskEnvironment(dm_env.Environment):
         """Take an action [A]; after the end of an episode, start the next."""
         if self._over:
             return self.reset()
-        time_step = self.batch.step(np.asarray(action)[None])
+        time_step = self.batch.step(batch_of_one(action, self.batch.action_dim))
         self._over = bool(time_step.done[0])
         observation = self._observation(time_step)
         reward = float(time_step.reward[0])

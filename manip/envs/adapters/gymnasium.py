@@ -43,8 +43,9 @@ from manip.envs.make_batch import PANDA, Backend, make_batch, robot_config_of
 from manip.envs.task_batch import TaskBatch
 from manip.envs.task_registry import load_task, task_names
 from manip.envs.time_step import TimeStep
-from manip.errors import MOST, UserError
+from manip.errors import MOST, UserError, check_choice
 from manip.robot_config import RobotConfig
+from manip.sim.actions import batch_of_one
 from manip.sim.renderer import render_frames
 
 Array = np.ndarray
@@ -77,6 +78,7 @@ class TaskVectorEnv(VectorEnv):
         max_episode_steps: int | None = None,
         **options: Any,
     ) -> None:
+        _check_names(options)
         self.batch = make_batch(
             task, num_envs, horizon=max_episode_steps, seed=0, **options
         )
@@ -90,6 +92,11 @@ class TaskVectorEnv(VectorEnv):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
         """Start an episode everywhere: the seed's first one if a seed is given."""
+        if options and "reset_mask" in options:
+            raise UserError(
+                "reset_mask is not supported: an environment restarts in the step in "
+                "which its episode ends, and reset() restarts all"
+            )
         super().reset(seed=seed)
         _begin(self, seed)
         time_step = self.batch.observe()
@@ -137,6 +144,9 @@ class TaskEnv(gymnasium.Env):
         robot: RobotConfig | str = PANDA,
         **options: Any,
     ) -> None:
+        _check_names(options)
+        if render_mode is not None:
+            check_choice("render mode", render_mode, self.metadata["render_modes"])
         robot = robot_config_of(robot)
         self.metadata = self.metadata | {"render_fps": robot.control_freq}
         self.batch = make_batch(
@@ -159,7 +169,7 @@ class TaskEnv(gymnasium.Env):
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Take an action [A]: observation [D], reward, terminated, truncated, info."""
-        time_step = self.batch.step(np.asarray(action)[None])
+        time_step = self.batch.step(batch_of_one(action, self.batch.action_dim))
         return (
             time_step.observation[0],
             float(time_step.reward[0]),
@@ -181,6 +191,13 @@ class TaskEnv(gymnasium.Env):
         if self._frames:
             self._frames.close()
             self._frames = None
+
+
+def _check_names(options: Mapping[str, Any]) -> None:
+    """Refuse options of `make_batch` that Gymnasium calls otherwise."""
+    names = {"horizon": "max_episode_steps", "seed": "reset(seed=...)"}
+    for name in names.keys() & options.keys():
+        raise UserError(f"option {name!r} is not Gymnasium's: use {names[name]}")
 
 
 def _poses(batch: TaskBatch) -> Iterator[Array]:

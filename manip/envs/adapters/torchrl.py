@@ -81,7 +81,7 @@ class TaskEnv(EnvBase):
         return self.observe()
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        time_step = self.batch.step(tensordict["action"].numpy())
+        time_step = self.batch.step(tensordict["action"].detach().numpy())
         return self._tensors(time_step).set("reward", _columns([time_step.reward]))
 
     def _tensors(self, time_step: TimeStep) -> TensorDictBase:

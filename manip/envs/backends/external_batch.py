@@ -8,11 +8,9 @@ import numpy as np
 from manip.cpus import usable_cpus
 from manip.envs.backends.worker_pool import WorkerPool
 from manip.envs.episode_options import EpisodeOptions
-from manip.envs.episode_streams import (
-    build_seed,
-    episode_seed,
-)
+from manip.envs.episode_streams import build_seed, episode_seed
 from manip.envs.external_task import EARNED, ExternalTask
+from manip.envs.option_checks import check_flag
 from manip.envs.task import Measures
 from manip.envs.task_batch import TaskBatch
 from manip.envs.task_errors import exits_blamed
@@ -40,7 +38,7 @@ class ExternalBatch(NotCopied, TaskBatch):
         stagger: begin the first episodes at different times, so that they do not all
             end at the same step.
         hard_reset: rebuild robosuite's model at every reset.
-        options: as in `TaskBatch`; reward is "stock".
+        options: as in `EpisodeOptions`; reward is "stock".
 
     Raises:
         UserError: the library has no such arm, action space, fidelity or reward.
@@ -68,6 +66,8 @@ class ExternalBatch(NotCopied, TaskBatch):
                 f"{restart_fraction}"
             )
         at_least(1, "num_envs", num_envs)
+        check_flag("stagger", stagger)
+        check_flag("hard_reset", hard_reset)
         at_least(1, "threads", 1 if threads is None else threads)
         task.module().check_robot_config(robot)
         processes = min(threads or usable_cpus(), num_envs)

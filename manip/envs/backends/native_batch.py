@@ -10,14 +10,14 @@ from manip.envs.episode_options import EpisodeOptions
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.external_task import ExternalTask
 from manip.envs.faults import Fault
-from manip.envs.option_checks import check_share, state_array
+from manip.envs.option_checks import check_flag, check_share, state_array
 from manip.envs.restart_buffer import INTERVAL, RestartBuffer
 from manip.envs.task import Measures, Task
 from manip.envs.task_batch import TaskBatch
 from manip.envs.task_check import check_start
 from manip.envs.task_errors import blamed
 from manip.envs.time_step import TimeStep
-from manip.errors import UserError, at_least, check_choice
+from manip.errors import UserError, at_least, check_choice, shown
 from manip.robot_config import RobotConfig, check_robot_config
 from manip.sim.batch_engine import BatchEngine
 from manip.sim.engine import Snapshot
@@ -73,7 +73,10 @@ class NativeBatch(DeepCopied, TaskBatch):
         at_least(1, "threads", 1 if threads is None else threads)
         check_robot_config(robot)
         check_choice("fidelity", fidelity, get_args(Fidelity))
+        check_flag("stagger", stagger)
         check_share("restart_fraction", restart_fraction)
+        if not isinstance(scene, Scene | None):
+            raise UserError(f"scene must be a Scene, not {shown(scene)}")
         episodes = EpisodeOptions(**options)
         with blamed(task):
             self.scene = scene or load_scene(

@@ -7,6 +7,7 @@ import numpy as np
 
 from manip.envs.episode_options import EpisodeOptions
 from manip.envs.episode_streams import episode_seed
+from manip.envs.option_checks import check_flag
 from manip.envs.task import Measures, Task
 from manip.envs.task_batch import TaskBatch
 from manip.robot_config import RobotConfig
@@ -44,6 +45,7 @@ class StockBatch(NotCopied, TaskBatch):
         stock: Any = None,
         **options: Any,
     ) -> None:
+        check_flag("hard_reset", hard_reset)
         episodes = EpisodeOptions(**options)
         self.stock = stock or make_stock(
             task.robosuite_name, robot, episodes.seed, hard_reset=hard_reset
