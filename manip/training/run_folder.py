@@ -30,8 +30,8 @@ def check_run_folder(config: TrainConfig) -> None:
     """Check that a run may write to its folder, before any work.
 
     Raises:
-        UserError: the folder holds links or devices, another run or other files; it holds no run
-            that could be resumed; it cannot be written.
+        UserError: the folder holds links, devices, another run or other files; it
+            holds no run that could be resumed; it cannot be written.
     """
     folder = config.folder
     for place in (folder, *(folder / name for name in FOLDERS)):
