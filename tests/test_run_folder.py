@@ -11,6 +11,7 @@ from training_runs import contents, copy_of, finished, new_trainer, tiny
 from manip.errors import UserError
 from manip.training.lifecycle import locked
 from manip.training.run_folder import FILES, check_run_folder
+from manip.training.run_logs import read_metrics
 
 
 def test_a_run_is_not_overwritten() -> None:
@@ -182,3 +183,10 @@ def test_a_folder_that_cannot_be_made_is_refused_before_any_work(
     (tmp_path / "file").touch()
     with pytest.raises(UserError, match=message):
         check_run_folder(tiny("ppo", tmp_path / out))
+
+
+@pytest.mark.parametrize("text", ["a,b\n1,2\n", "env_steps\nnan\n", "env_steps\n'x\n"])
+def test_a_table_without_steps_is_damaged(text: str, tmp_path: Path) -> None:
+    (tmp_path / "metrics.csv").write_text(text)
+    with pytest.raises(UserError, match=r"metrics\.csv is damaged"):
+        read_metrics(tmp_path / "metrics.csv")
