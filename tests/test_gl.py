@@ -116,3 +116,19 @@ def test_a_closed_film_has_ended(pendulum: mujoco.MjModel) -> None:
 def test_an_error_of_opengl_reaches_the_caller(pendulum: mujoco.MjModel) -> None:
     with pytest.raises(ValueError, match="framebuffer"):
         Drawer(pendulum, 10**5, 10**5)
+
+
+@draws
+def test_a_platform_that_contradicts_mujocos_backend_is_replaced() -> None:
+    """mujoco is imported without its Renderer then, and without a word."""
+    code = "from manip.sim.gl import import_mujoco, use_backend; import_mujoco();"
+    code += "use_backend(); import mujoco; print(mujoco.Renderer.__name__)"
+    variables = {"MUJOCO_GL": "osmesa", "PYOPENGL_PLATFORM": "egl"}
+    result = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | variables,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.stdout == "Renderer\n", result.stderr

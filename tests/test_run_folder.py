@@ -10,7 +10,8 @@ from training_runs import contents, copy_of, finished, new_trainer, tiny
 
 from manip.errors import UserError
 from manip.training.lifecycle import locked
-from manip.training.run_folder import check_run_folder
+from manip.training.run_folder import FILES, check_run_folder
+from manip.training.run_logs import read_metrics
 
 
 def test_a_run_is_not_overwritten() -> None:
@@ -104,6 +105,35 @@ def test_nothing_is_written_through_a_link(
     assert contents(other) == before
 
 
+@pytest.mark.parametrize(
+    "name",
+    ["run.lock", "metrics.csv", "notes", "checkpoints/latest.safetensors", "dumps/x"],
+)
+@pytest.mark.parametrize("resume", [False, True])
+def test_nothing_is_written_to_a_pipe_in_a_run(
+    name: str, resume: bool, tmp_path: Path
+) -> None:
+    """Opening a pipe to write waits for its reader, perhaps for ever."""
+    config = copy_of(finished("ppo"), tmp_path / "run")
+    path = config.folder / name
+    path.parent.mkdir(exist_ok=True)
+    path.unlink(missing_ok=True)
+    os.mkfifo(path)
+    with pytest.raises(UserError, match=rf"{name} is no file: .* remove it"):
+        check_run_folder(replace(config, resume=resume))
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_folder_in_the_place_of_a_file_is_refused_before_training(
+    name: str, tmp_path: Path
+) -> None:
+    config = copy_of(finished("ppo"), tmp_path / "run")
+    (config.folder / name).unlink(missing_ok=True)
+    (config.folder / name).mkdir()
+    with pytest.raises(UserError, match=rf"{name} is a folder, where a run has a file"):
+        check_run_folder(replace(config, resume=True))
+
+
 def test_a_lock_with_two_names_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_text("precious")
@@ -153,3 +183,10 @@ def test_a_folder_that_cannot_be_made_is_refused_before_any_work(
     (tmp_path / "file").touch()
     with pytest.raises(UserError, match=message):
         check_run_folder(tiny("ppo", tmp_path / out))
+
+
+@pytest.mark.parametrize("text", ["a,b\n1,2\n", "env_steps\nnan\n", "env_steps\n'x\n"])
+def test_a_table_without_steps_is_damaged(text: str, tmp_path: Path) -> None:
+    (tmp_path / "metrics.csv").write_text(text)
+    with pytest.raises(UserError, match=r"metrics\.csv is damaged"):
+        read_metrics(tmp_path / "metrics.csv")

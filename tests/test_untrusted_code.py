@@ -186,6 +186,26 @@ if __name__ == "__main__":
     assert not (project / "marker").exists()
 
 
+def test_children_of_a_program_import_nothing_from_the_working_directory(
+    project: Path,
+) -> None:
+    """mujoco imports glfw, which looks for its library in children."""
+    run = project / "runs/demo"
+    for module in ("ctypes", "glob", "json", "numpy", "os", "re", "torch"):
+        (run / f"{module}.py").write_text(EVIL.format(marker=str(project / "marker")))
+    main = "from manip.programs.main import main; main()"
+    result = subprocess.run(
+        [sys.executable, "-P", "-c", main, "evaluate", "."],
+        cwd=run,
+        env={"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert_refused(result, project)
+    assert "holds no policy" in result.stderr
+
+
 def test_installed_tasks_are_found_where_the_environment_lies_in_the_folder() -> None:
     """`manip evaluate .` in a project that holds its virtual environment."""
     result = load("Lift", str(Path(sys.prefix).parent), ROOT)

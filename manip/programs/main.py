@@ -1,6 +1,7 @@
 """`manip NAME ...`: every program behind one command, loaded only when it is run."""
 
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 
@@ -44,7 +45,10 @@ def _dispatch(arguments: Sequence[str]) -> int:
 
 
 def _program(name: str) -> cli.Program:
-    """Import a program; only programs silence robosuite's log, imports never do."""
+    """Import a program; what is set for it, imports of manip never set."""
+    # Children start as `python -c`, which would search the working directory for their
+    # modules: those of manip, and those with which glfw looks for its library.
+    os.environ["PYTHONSAFEPATH"] = "1"
     quiet_robosuite()
     module = importlib.import_module(f"manip.programs.{name}")
     program: cli.Program = module.main

@@ -26,6 +26,7 @@ INSTALL_HINT = (
 
 _PYOPENGL_BACKENDS = ("egl", "osmesa")
 _BINDING = "mujoco.rendering.classic.gl_context"
+_RENDERER = "mujoco.rendering.classic.renderer"
 _PROBE_SECONDS = 30
 _PROBE = """
 import mujoco
@@ -118,7 +119,13 @@ def _settings(backend: str) -> dict[str, str]:
 
 
 def _bind_again() -> None:
-    """Let an imported mujoco read MUJOCO_GL again; its Renderer looks it up late."""
-    binding = sys.modules.get(_BINDING)
+    """Let an imported mujoco read MUJOCO_GL again; its Renderer looks it up late.
+
+    mujoco is imported without its Renderer where PYOPENGL_PLATFORM contradicts
+    MUJOCO_GL.
+    """
+    binding, mujoco = sys.modules.get(_BINDING), sys.modules.get("mujoco")
     if binding is not None:
         importlib.reload(binding)
+    if mujoco is not None and not hasattr(mujoco, "Renderer"):
+        vars(mujoco)["Renderer"] = importlib.import_module(_RENDERER).Renderer

@@ -15,6 +15,13 @@ from manip.versions import versions
 FOLDERS = ("checkpoints", "tensorboard", "policy", "dumps")
 """Subfolders that a run writes to."""
 
+FILES = (
+    *("run.lock", "config.yaml", "metrics.csv"),
+    *(f"checkpoints/{name}.safetensors" for name in ("latest", "previous", "best")),
+    *("policy/policy.safetensors", "policy/policy.json"),
+)
+"""Files that a run writes."""
+
 _BEFORE_TRAINING = {"run.lock", "config.yaml", "checkpoints"}
 """What a run may have written before its first checkpoint."""
 
@@ -23,13 +30,13 @@ def check_run_folder(config: TrainConfig) -> None:
     """Check that a run may write to its folder, before any work.
 
     Raises:
-        UserError: the folder holds links, another run or other files; it holds no run
-            that could be resumed; it cannot be written.
+        UserError: the folder holds links, devices, another run or other files; it
+            holds no run that could be resumed; it cannot be written.
     """
     folder = config.folder
     for place in (folder, *(folder / name for name in FOLDERS)):
         check_output_folder(place, "--out")
-    check_links(folder)
+    check_entries(folder)
     exists = Checkpoints(folder).exist()
     if config.resume:
         if not exists:
@@ -78,14 +85,17 @@ def _names(folder: Path) -> list[str]:
     return [*names[:3], "..."] if len(names) > 3 else names
 
 
-def check_links(folder: Path) -> None:
-    """Check that nothing in a run's folder is a link, through which a run would write.
+def check_entries(folder: Path) -> None:
+    """Check that a run's folder holds only files and folders, each in its place.
+
+    A run would write through a link or a device, wait for the reader of a pipe, and
+    fail at its first save where a folder has the name of a file.
 
     Files with two names (hard links) are safe: they are replaced as a whole, never
     changed in place, and `manip.training.lifecycle.locked` refuses such a lock.
 
     Raises:
-        UserError: there is a link.
+        UserError: there is something else.
     """
     for path in _entries(folder):
         if path.is_symlink():
@@ -93,6 +103,14 @@ def check_links(folder: Path) -> None:
                 f"{path} is a link to {os.readlink(path)}: a run folder must not hold "
                 "links; remove it"
             )
+        if not path.is_file() and not path.is_dir():
+            raise UserError(
+                f"{path} is no file: a run folder must not hold pipes, devices or "
+                "sockets; remove it"
+            )
+    for path in map(folder.joinpath, FILES):
+        if path.is_dir():
+            raise UserError(f"{path} is a folder, where a run has a file; remove it")
 
 
 def _entries(folder: Path) -> Iterator[Path]:

@@ -55,16 +55,19 @@ def read_metrics(path: Path) -> list[dict[str, str]]:
     A last line without line break, which a killed run may leave, is left out.
 
     Raises:
-        UserError: it is no table.
+        UserError: it is no table, or a row does not say its `env_steps`.
     """
     if not path.is_file():
         return []
     try:
         with path.open(newline="", encoding="utf-8") as file:
             complete = [line for line in file if line.endswith("\n")]
-        return list(csv.DictReader(complete))
-    except (csv.Error, UnicodeError) as error:
+        rows = list(csv.DictReader(complete))
+        for row in rows:
+            int(row["env_steps"])
+    except (csv.Error, KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path} is damaged: {one_line(error)}") from error
+    return rows
 
 
 def check_wandb(project: str | None) -> None:
