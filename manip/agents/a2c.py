@@ -88,5 +88,5 @@ def _check_steps(config: A2CConfig) -> None:
     if config.n_step is not None and config.n_step > config.rollout_length:
         raise UserError(
             f"n_step is {config.n_step}, but a rollout has {config.rollout_length} "
-            "steps: set rollout_length to as many at least"
+            f"steps: set rollout_length to {config.n_step} or more"
         )

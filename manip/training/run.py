@@ -1,7 +1,8 @@
 """Train from Python: one call, in any thread or process.
 
-    from manip.training.checkpoint import Checkpoints
-from manip.training.config import recipe
+For example:
+
+    from manip.training.config import recipe
     from manip.training.run import train
 
     result = train(recipe("Lift", "sac"), callback=print)
@@ -26,16 +27,16 @@ from manip.training.trainer import Trainer
 
 @dataclass(frozen=True)
 class RunResult:
-    """What a run came to.
+    """Result of a run.
 
     Attributes:
         folder: the run folder.
         env_steps: control steps taken, over all processes of the run.
         seconds: wall time of training and evaluation [s].
-        finished: False if the run was stopped on the way; it can be resumed.
+        finished: False if the run was stopped before its last step; it can be resumed.
         success: success_once, success_at_end and success_held of the best evaluation;
             empty before the first.
-        policy: folder of the best policy; there is none before the first evaluation.
+        policy: folder of the best policy; it exists from the first evaluation on.
     """
 
     folder: Path
@@ -56,8 +57,8 @@ def train(
     """Train a policy.
 
     On the main thread, Ctrl-C, SIGTERM and SIGHUP save the run and end it. On other
-    threads signals keep their meaning: use `stop`. While the run goes on, torch uses
-    one thread, as the sums of several would differ.
+    threads, signals are not handled: use `stop`. During the run torch uses one thread,
+    because sums depend on the number of torch's threads.
 
     Args:
         config: options of the run; `manip.training.config.recipe` gives tuned ones.
@@ -86,7 +87,7 @@ def train(
 def train_or_resume(
     config: TrainConfig, *, callback: Callback | None = None
 ) -> RunResult:
-    """Train, or go on with the run that the folder holds."""
+    """Train, or resume the run in the folder if there is one."""
     resume = Checkpoints(config.folder).exist()
     return train(replace(config, resume=resume), callback=callback)
 
@@ -113,7 +114,7 @@ def _success(rows: Sequence[dict[str, float]], best: list[float]) -> dict[str, f
 
 @contextmanager
 def _one_torch_thread() -> Iterator[None]:
-    """Have torch use one thread, and as many as before afterwards."""
+    """Set torch to one thread inside the context, then restore the previous number."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
