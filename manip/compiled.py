@@ -118,9 +118,9 @@ def fast_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @contextmanager
 def fallback_cache(library: str) -> Iterator[None]:
-    """Let another library's functions be compiled where numba can store none of them.
+    """Compile another library's functions where numba has no writable cache folder.
 
-    A library that asks numba for a cache fails on import if neither its own folder nor
+    A library that uses numba's cache fails on import if neither its own folder nor
     the home folder is writable. Functions that it defines in this `with` block are
     then cached in a folder that lasts as long as the process.
 

@@ -64,7 +64,7 @@ def check_choice(kind: str, name: str, known: Collection[str]) -> None:
 
 
 def out_of_memory(error: BaseException) -> bool:
-    """Whether an error is that of an allocator, whatever its type.
+    """Whether an error of any type comes from an allocator.
 
     torch raises RuntimeError, as does Python where no memory is left for a thread.
     """

@@ -19,8 +19,8 @@ Vector = TypeVar("Vector")
 """A numpy array or a torch tensor."""
 
 ROLES = ("proprioception", "object", "camera")
-"""What a real robot would need to know a part: its own joints, an estimator of the
-objects' poses, or a camera."""
+"""Source of a part on a real robot: its joint sensors, an estimator of objects' poses,
+or a camera."""
 
 
 class ObservationPart(NamedTuple):
@@ -172,12 +172,19 @@ def _part(values: Any) -> ObservationPart:
         raise UserError(f"an observation part has {expected}, not {shown(values)}")
     name, shape, role = values["name"], values["shape"], values["role"]
     if not isinstance(name, str) or not name:
-        raise UserError(f"an observation part is named {shown(name)}")
+        raise UserError(
+            f"the name of an observation part must be text, not {shown(name)}"
+        )
     if not _is_shape(shape):
-        raise UserError(f"observation part {name!r} has shape {shown(shape)}")
+        raise UserError(
+            f"observation part {name!r} has shape {shown(shape)}, expected a list of "
+            "whole numbers"
+        )
     if not _is_dtype(values["dtype"]):
         kind = shown(values["dtype"])
-        raise UserError(f"observation part {name!r} has dtype {kind}")
+        raise UserError(
+            f"observation part {name!r} has dtype {kind}, expected a numpy number type"
+        )
     if role not in ROLES:
         known = ", ".join(ROLES)
         raise UserError(

@@ -35,7 +35,7 @@ def plugin_names(group: str) -> list[str]:
 def load_class(name: str, group: str, kind: str) -> type:
     """Import the class of the entry point `name`, or at `package.module:Class`.
 
-    Modules of the working directory are found as well as installed ones, unless it
+    Modules are searched in the working directory and among installed ones, unless it
     lies in a folder that `check_origin` was called with.
 
     Args:
@@ -66,7 +66,7 @@ def check_origin(name: str, group: str, kind: str, folder: Path) -> None:
     """Refuse a name, read from a file in `folder`, that leads to code in that folder.
 
     Nothing is imported. From then on, this process and its workers find no modules in
-    the folder, nor in the run that it belongs to.
+    the folder, nor in the run folder around it.
 
     Raises:
         UserError: a module on the way to the class came along with the file.
@@ -80,7 +80,7 @@ def check_origin(name: str, group: str, kind: str, folder: Path) -> None:
         if is_untrusted(place, _untrusted):
             raise UserError(
                 f"{kind} {name!r} would run {place}, which came along with {folder}: "
-                "if you trust it, move it out of there"
+                "if you trust this code, move it to the working directory or install it"
             )
 
 
@@ -114,7 +114,7 @@ def _read_entry_points(group: str, path: tuple[str, ...]) -> dict[str, EntryPoin
 
 
 def _search_here() -> None:
-    """Let imports find modules of the working directory, as `python -m` does."""
+    """Make modules of the working directory importable, as `python -m` does."""
     here = str(Path.cwd())
     if here not in sys.path and "" not in sys.path and not is_inside("", _untrusted):
         sys.path.append(here)

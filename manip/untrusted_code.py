@@ -1,4 +1,4 @@
-"""Tell code that came along with a file, such as a policy card, from installed code.
+"""Distinguish code that came with a file, such as a policy card, from installed code.
 
 Modules are located without importing them, level by level: importing a package to look
 for a module inside it would already run the package's code.

@@ -2,10 +2,10 @@
 
     python scripts/compare_checkouts.py --before ../manip-before --after .
 
-Each checkout trains every algorithm briefly, each run in a process and folder of its
-own. The script compares the metrics (all but times) and the weights of the best policy,
-prints a table, and exits with 1 if a run differs. A checkout uses the Python of its own
-.venv where it has one.
+Each checkout trains every algorithm briefly, each run in a separate process and
+folder. The script compares the metrics (all but times) and the weights of the best
+policy, prints a table, and exits with 1 if a run differs. A checkout uses the Python of
+its own .venv where it has one.
 """
 
 import csv

@@ -70,7 +70,7 @@ def measure_cube(read: Measures) -> dict[str, Array]:
 def must_align(m: Measures) -> bool:
     """Whether the hand is too wide or too weak to turn a cube as it closes on it.
 
-    Such a hand has to turn to the cube's faces or edges before it closes.
+    Such a gripper must align with the cube's faces or edges before it closes.
     """
     wide = m["gripper_narrowest"] > CUBE_WIDTH
     slow = m["gripper_speed"] < SLOW_GRIPPER

@@ -11,8 +11,8 @@ Shaped reward, in [0, 1] per step: 0.2 reach + 0.25 grasp + 0.55 lift.
         0 at d = 2 cm.
     lift: rises linearly over the first 5 cm of height.
     Without the distance factor, policies learned to press the pads onto the cube's top
-    and stayed there. With a sharp edge at 2 cm, or with lift multiplied by grasp, they
-    held the cube by its top, lost the reward as it slipped, and let go.
+    only. With a sharp edge at 2 cm, or with lift multiplied by grasp, they
+    grasped the cube at its top, lost the reward as it slipped, and released it.
 """
 
 from typing import ClassVar

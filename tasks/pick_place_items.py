@@ -11,7 +11,7 @@ class Item(NamedTuple):
     """An object: its dimensions [m], its grip, and its target.
 
     Attributes:
-        radius: of the circle that is kept clear of other objects
+        radius: of the circle that no other object may overlap
             (robosuite/models/assets/objects/*.xml).
         stand: height of its origin above the bin's when it stands in it (ibid.).
         low, high: corners of its box, in its own frame.

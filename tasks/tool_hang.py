@@ -109,7 +109,7 @@ class ToolHang(Task):
         return rewards.TERMS[reward](m, self.success(m))
 
     def success(self, m: Measures) -> Array:
-        """The frame stands, and the wrench hangs on it by itself."""
+        """The frame stands, and the wrench hangs on it, not grasped."""
         return m["assembled"] & m["hung"]
 
     def expert(self, m: Measures) -> Array:

@@ -60,7 +60,7 @@ def measure_parts(read: Measures) -> dict[str, Array]:
     to_mouth [N, 3] m from the rod's tip to the post's mouth; to_hook [N, 3] m from the
     wrench's hole to the hook; frame_firm_grasp, tool_firm_grasp [N] bool: both finger
     pads touch it, and the gripper is at its grip; assembled, threaded [N] bool: see the
-    functions of these names; hung [N] bool: the wrench hangs on the frame by itself.
+    functions of these names; hung [N] bool: the wrench hangs on the frame, ungrasped.
     """
     mats = {f"{b}_mat": rotation_matrix(read[f"{b}_quat"]) for b in BODIES}
     m = {**read, **mats}

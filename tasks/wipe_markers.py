@@ -16,7 +16,7 @@ SPACING = 0.005
 TURN_STD = 0.5
 """Standard deviation [rad] of a turn of the line of markers (ibid.)."""
 STRAIGHT = 0.7
-"""Probability that the line goes straight on at a marker (ibid.)."""
+"""Probability that the line continues straight at a marker (ibid.)."""
 CANDIDATES = 128
 """Turns drawn per marker. The first that stays on the table is taken."""
 WIPE_HEIGHT = 0.02

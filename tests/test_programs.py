@@ -398,7 +398,7 @@ def test_a_killed_evaluation_leaves_no_workers(run: Path, number: int) -> None:
     ("text", "message"),
     [
         ("{", "is damaged: "),
-        ("just text", "is damaged: it holds no options"),
+        ("just text", "is damaged: expected a mapping of options"),
         ("stepz: 3", "did you mean 'steps'"),
         ("steps: many", "steps must be a whole number, not 'many'"),
         ("task: [3]", "task must be text, not [3]"),

@@ -107,8 +107,8 @@ def test_a_run_resumes_from_the_checkpoint_before_a_damaged_one(
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda t: [1], "has format None, this version reads"),
-        (lambda t: t | {"format": 0}, "has format 0, this version reads"),
+        (lambda t: [1], "has format None, expected 7"),
+        (lambda t: t | {"format": 0}, "has format 0, expected 7"),
         (lambda t: t | {"collector": {}}, "is of another configuration"),
         (lambda t: t | {"torch_rng": 3}, "is of another configuration"),
         (lambda t: t | {"progress": {}}, "is damaged"),
@@ -144,7 +144,7 @@ def test_a_run_does_not_resume_with_other_options(
     other = tiny(change.pop("algo", "ppo"), folder, resume=True, **change)
     before = contents(folder)
     with pytest.raises(
-        UserError, match=f"cannot go on with other options: .*{message}"
+        UserError, match=f"cannot be resumed with other options: .*{message}"
     ):
         new_trainer(other).run()
     assert contents(folder) == before

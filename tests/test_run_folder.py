@@ -28,7 +28,7 @@ def test_a_run_that_lost_its_checkpoints_is_not_overwritten(tmp_path: Path) -> N
     config = copy_of(finished("ppo"), tmp_path / "run")
     for path in (config.folder / "checkpoints").iterdir():
         path.unlink()
-    with pytest.raises(UserError, match="is not empty, and not a run that can be"):
+    with pytest.raises(UserError, match="is not empty, and holds no run that can be"):
         check_run_folder(config)
 
 
@@ -40,7 +40,7 @@ def test_files_of_others_are_not_overwritten(name: str, tmp_path: Path) -> None:
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text("mine: 1\n")
     before = contents(tmp_path)
-    with pytest.raises(UserError, match=f"{tmp_path} is not empty, and not a run"):
+    with pytest.raises(UserError, match=f"{tmp_path} is not empty, and holds no run"):
         new_trainer(tiny("ppo", tmp_path))
     assert contents(tmp_path) == before
 
@@ -50,7 +50,7 @@ def test_a_config_of_another_run_is_not_overwritten(tmp_path: Path) -> None:
     text = (finished("ppo").folder / "config.yaml").read_text()
     (tmp_path / "config.yaml").write_text(text)
     check_run_folder(config)
-    with pytest.raises(UserError, match="is not empty, and not a run"):
+    with pytest.raises(UserError, match="is not empty, and holds no run"):
         check_run_folder(replace(config, seed=1))
 
 

@@ -1,6 +1,6 @@
 """Asynchronous advantage actor-critic (Mnih et al. 2016, arXiv 1602.01783).
 
-Workers, each on a thread of its own and with environments of its own, run side by side.
+Workers, each with its own thread and environments, run at the same time.
 Each of them repeats:
 
     copy the shared parameters:  theta_w <- theta

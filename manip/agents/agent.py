@@ -17,7 +17,7 @@ class AgentConfig:
     """Base class of every algorithm's options.
 
     Each field becomes a flag `--agent.<name>`, with the string below it as its help.
-    A range beside a number is checked, whatever sets the option (see
+    A range beside a number is checked wherever the option is set (see
     manip.io.option_ranges): `gamma: Annotated[float, SHARE] = 0.95`.
     """
 
@@ -69,9 +69,9 @@ class Agent(ABC):
 
     @abstractmethod
     def policy(self) -> TensorDictModuleBase:
-        """Return a copy of the present policy that writes `action` [N, A] to its input.
+        """Return a copy of the current policy that writes `action` [N, A] to its input.
 
-        It has a random generator of its own: it may act while the agent learns.
+        It has a separate random generator, because it may act while the agent learns.
         """
 
     def process_rollout(

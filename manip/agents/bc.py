@@ -41,9 +41,10 @@ class BCConfig(AgentConfig):
     """Options of behaviour cloning; `steps` of the run are those of the expert."""
 
     noise: Annotated[float, NUMBER] = 0.3
-    """Standard deviation of the expert's action noise in the last environment."""
+    """Largest standard deviation of the expert's action noise: it rises linearly from 0
+    in the first environment to this value."""
     noise_steps: Annotated[int, COUNT] = 10
-    """Mean number of control steps before noise is drawn again."""
+    """Mean number of control steps for which a noise sample is used."""
     clones: Annotated[float, SHARE] = 0.5
     """Fraction of the environments in which the clone acts (DAgger)."""
     rollout_length: Annotated[int, COUNT] = 32
@@ -51,13 +52,13 @@ class BCConfig(AgentConfig):
     updates_per_step: Annotated[float, NUMBER] = 0.5
     """Updates per control step of one environment."""
     batch_size: Annotated[int, COUNT] = 256
-    """Steps per update."""
+    """Labelled steps per update (minibatch size)."""
     learning_rate: Annotated[float, NUMBER] = 5e-4
     """Adam's step size."""
     actor_hidden: Annotated[tuple[int, ...], COUNT] = (256, 256)
     """Widths of the actor's hidden layers."""
     buffer_size: Annotated[int, COUNT] = 400_000
-    """Control steps that are stored."""
+    """Capacity of the buffer of labelled steps [control steps]."""
 
 
 class Demonstration(TensorDictModuleBase):
@@ -93,7 +94,7 @@ class Demonstration(TensorDictModuleBase):
         return action + level * self._offsets(action.shape)
 
     def _offsets(self, shape: torch.Size) -> Tensor:
-        """Draw standard normal noise; each environment renews it now and then."""
+        """Draw standard normal noise [N, A]; rows are redrawn at random times."""
         offset = torch.randn(shape, generator=self._generator)
         if self._offset is not None:
             chance = torch.rand((len(offset), 1), generator=self._generator)

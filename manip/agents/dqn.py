@@ -8,7 +8,7 @@
 
 Each dimension of the action takes one of `bins` values, and Q(s, a) is the mean over
 the dimensions i of q_i(s, a_i) (Seyde et al. 2022, arXiv 2210.12566): the maximum over
-all bins^7 actions is found dimension by dimension. q_i = V + A_i - mean A_i (dueling:
+all bins^7 actions follows dimension by dimension. q_i = V + A_i - mean A_i (dueling:
 Wang et al. 2015, arXiv 1511.06581). s' is the state n steps later, Q' the exponential
 average of Q. A time limit is no termination: y bootstraps from the true last
 observation. For n > 1 the rewards between s and s' are older policies' (off-policy

@@ -22,7 +22,7 @@ class RolloutPolicy(TensorDictModuleBase):
     """Explore with a copy of the actor.
 
     A gripper takes ten steps from closed to open, so noise of single steps never opens
-    a gripper that the actor keeps closed. In a burst the gripper opens, or closes, for
+    a gripper that the actor never opens. In a burst the gripper opens, or closes, for
     a whole rollout.
 
     Args:

@@ -27,10 +27,11 @@ class OffPolicyConfig(AgentConfig):
     """Options of all off-policy algorithms; defaults suit manipulation at 20 Hz."""
 
     gamma: Annotated[float, SHARE] = 0.95
-    """Discount factor per control step."""
+    """Discount factor per control step: larger counts later rewards more."""
     n_step: Annotated[int, COUNT] = 3
-    """Rewards summed in a critic's target before it bootstraps (n-step return); fewer
-    at the end of a rollout."""
+    """Rewards summed in a critic's target before it bootstraps (n-step return), fewer
+    at the end of a rollout: more of them rely less on the critic, and have more
+    variance."""
     rollout_length: Annotated[int, COUNT] = 8
     """Control steps of each environment between two rounds of updates."""
     tau: Annotated[float, SHARE] = 0.01
@@ -38,25 +39,26 @@ class OffPolicyConfig(AgentConfig):
     learning_rate: Annotated[float, NUMBER] = 5e-4
     """Adam's step size, for all networks."""
     batch_size: Annotated[int, COUNT] = 256
-    """Transitions per update."""
+    """Transitions per update (minibatch size)."""
     updates_per_step: Annotated[float, NUMBER] = 0.25
     """Critic updates per control step of one environment (update-to-data ratio)."""
     critic_hidden: Annotated[tuple[int, ...], COUNT] = (128, 128)
     """Widths of each critic's hidden layers (each with LayerNorm)."""
     buffer_size: Annotated[int, COUNT] = 400_000
-    """Control steps that the replay buffer holds."""
+    """Capacity of the replay buffer [control steps]."""
     random_steps: Annotated[int, WHOLE] = 4_000
-    """Control steps with uniform actions before learning starts."""
+    """Control steps with uniform random actions before learning starts
+    (learning_starts)."""
     action_scale: Annotated[tuple[float, ...], Range(1e-6, 1)] = ()
     """Fraction of each action dimension's range that is used; 1 unless given."""
     gripper_bursts: Annotated[float, SHARE] = 0.0
-    """Fraction of rollouts in which the gripper opens, or closes, all the time."""
+    """Fraction of rollouts in which the gripper opens, or closes, in every step."""
 
 
 class OffPolicy(Agent):
     """Store rollouts in a replay buffer, and learn from batches drawn from it.
 
-    Rollouts must come from one group of environments, one after the other.
+    All rollouts must be of the same environments, in order of time.
     """
 
     off_policy = True

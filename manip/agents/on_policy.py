@@ -33,11 +33,11 @@ class OnPolicyConfig(AgentConfig):
     """Options of all on-policy algorithms; defaults suit manipulation at 20 Hz."""
 
     gamma: Annotated[float, SHARE] = 0.97
-    """Discount factor per control step."""
+    """Discount factor per control step: larger counts later rewards more."""
     learning_rate: Annotated[float, NUMBER] = 5e-4
     """Adam's step size."""
     rollout_length: Annotated[int, COUNT] = 32
-    """Control steps of each environment between two updates."""
+    """Control steps of each environment between two updates (n_steps)."""
     critic_coefficient: Annotated[float, POSITIVE] = 0.5
     """c_V, weight of the critic's loss (value coefficient)."""
     max_gradient: Annotated[float, NUMBER] = 1.0
@@ -73,7 +73,7 @@ class RolloutPolicy(TensorDictModuleBase):
 
 
 class OnPolicy(Agent):
-    """Learn from each rollout once it is collected, then discard it.
+    """Learn from each rollout after it was collected, then discard it.
 
     A Gaussian actor, a critic, and one Adam for one flat parameter that holds those of
     the actor's network, its log standard deviations, and the critic's, in this order.

@@ -97,7 +97,7 @@ def _find(where: str | Path) -> Path:
 
 
 def _load_actor(card: PolicyCard, weights: Any) -> Actor | BinnedActor:
-    with torch.device("meta"):  # a card may ask for more memory than there is
+    with torch.device("meta"):  # a card may name networks larger than the memory
         actor = _actor(card)
     _check_weights(weights, actor.state_dict())
     actor.load_state_dict(weights, assign=True)
@@ -118,9 +118,11 @@ def _check_weights(weights: Any, expected: Mapping[str, Tensor]) -> None:
     for name, tensor in weights.items():
         wanted = expected[name]
         if not isinstance(tensor, Tensor) or tensor.dtype != wanted.dtype:
-            raise UserError(f"{name} is not {wanted.dtype}")
+            raise UserError(f"weights {name} are not a tensor of {wanted.dtype}")
         if tensor.shape != wanted.shape:
-            raise UserError(f"{name} is {[*tensor.shape]}, not {[*wanted.shape]}")
+            raise UserError(
+                f"weights {name} have shape {[*tensor.shape]}, not {[*wanted.shape]}"
+            )
         if not tensor.isfinite().all():
             raise UserError(f"{name} holds weights that are not finite")
         if not name.startswith("norm.") and tensor.abs().max() > LARGEST_WEIGHT:

@@ -1,4 +1,4 @@
-"""The card of a policy: what it was trained for. A card may come from anybody."""
+"""The card of a policy: what it was trained for. Its values are not trusted."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -80,7 +80,10 @@ def read_card(values: Any) -> PolicyCard:
     """
     form = values.get("format") if isinstance(values, Mapping) else None
     if form != FORMAT:
-        raise UserError(f"it has format {shown(form)}, this version reads {FORMAT}")
+        raise UserError(
+            f"it has format {shown(form)}, expected {FORMAT}: train it again with this "
+            "version"
+        )
     card = build(PolicyCard, values)
     check_options(card)
     for text in _texts(asdict(card)):
@@ -89,7 +92,10 @@ def read_card(values: Any) -> PolicyCard:
                 f"the card holds text that is no plain name: {shown(text[:50])}"
             )
     if not 1 <= card.observation_dim <= MOST_NEURONS:
-        raise UserError(f"the observation has {shown(card.observation_dim)} numbers")
+        raise UserError(
+            f"the observation has {shown(card.observation_dim)} numbers, expected 1 to "
+            f"{MOST_NEURONS}"
+        )
     return card
 
 

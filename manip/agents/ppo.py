@@ -40,11 +40,11 @@ class PPOConfig(OnPolicyConfig):
     clip: Annotated[float | None, SHARE] = 0.2
     """eps, range of the probability ratio (clip_range); None does not clip."""
     epochs: Annotated[int, COUNT] = 5
-    """Passes over each rollout."""
+    """Passes over each rollout (n_epochs)."""
     minibatches: Annotated[int, COUNT] = 8
     """Minibatches per pass."""
     entropy_coefficient: Annotated[float, NUMBER] = 0.002
-    """c_H, weight of the entropy bonus."""
+    """c_H, weight of the entropy bonus: larger explores more (ent_coef)."""
     target_kl: Annotated[float | None, POSITIVE] = 0.05
     """Mean KL divergence of a pass after which the update stops; None never stops."""
 

@@ -19,11 +19,11 @@ def algorithm_names() -> list[str]:
 def load_algorithm(name: str) -> type[Agent]:
     """Import the algorithm called `name`, or the class at `package.module:Class`.
 
-    Modules of the working directory are found as well as installed ones.
+    Modules are searched in the working directory and among installed packages.
 
     Raises:
-        UserError: there is no such algorithm, or the class does not keep the contract
-            of `Agent`; the message says what is missing.
+        UserError: there is no such algorithm, or the class is not a complete
+            subclass of `Agent`; the message lists what is missing.
     """
     return _checked(name, load_class(name, GROUP, "algorithm"))
 

@@ -66,7 +66,7 @@ class Replay:
         if count > self.capacity:
             raise UserError(
                 f"buffer_size is {self.capacity}, but a rollout has {count} steps: set "
-                "agent.buffer_size to as many at least"
+                f"agent.buffer_size to {count} or more"
             )
         self._prepare(batch)
         rows = (torch.arange(count) + self._cursor) % self.capacity
@@ -180,7 +180,7 @@ class Replay:
             self._columns["terms"] = torch.zeros(self.capacity, terms.shape[-1])
 
     def _number_episodes(self, ended: Tensor) -> Tensor:
-        """Number the episodes of [N, T] steps; `_current` [N] goes on after them."""
+        """Number the episodes of [N, T] steps; `_current` [N] is advanced past them."""
         starts = episode_starts(ended, self._current == NONE).long()
         fresh = self._episodes + starts.flatten().cumsum(0).view(starts.shape) - 1
         numbers = torch.where(starts.cumsum(1) > 0, fresh, self._current[:, None])

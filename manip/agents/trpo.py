@@ -44,7 +44,7 @@ class TRPOConfig(OnPolicyConfig):
     damping: Annotated[float, NUMBER] = 0.1
     """Added to the Fisher matrix's diagonal."""
     backtracks: Annotated[int, WHOLE] = 10
-    """Halvings of a step that are tried before the update is given up."""
+    """Most halvings of a step (line search); after them the policy is not changed."""
     epochs: Annotated[int, COUNT] = 5
     """Passes of the critic over each rollout."""
     minibatches: Annotated[int, COUNT] = 8

@@ -90,5 +90,5 @@ def check_steps(n_step: int, rollout_length: int) -> None:
     if n_step > rollout_length:
         raise UserError(
             f"n_step is {n_step}, but a rollout has {rollout_length} steps: set "
-            "rollout_length to as many at least"
+            f"rollout_length to {n_step} or more"
         )

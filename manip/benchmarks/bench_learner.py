@@ -4,9 +4,9 @@ Network sizes, batch and buffer are the same for all, and the data is random. Ea
 learner runs on one thread and on all CPUs, and the better of both enters the ratios. A
 SAC update trains critics, actor and temperature and moves the target networks. manip's
 critics have LayerNorm, the others' do not. Only manip can delay the actor (its
-default): that is a candidate of its own and enters no ratio. A PPO epoch is a pass over
-4096 steps in minibatches of 512, with its share of the rollout's actions, values and
-advantages.
+default): that is a separate candidate, which enters no ratio. A PPO epoch is a pass
+over 4096 steps in minibatches of 512, with its share of the rollout's actions, values
+and advantages.
 """
 
 from collections.abc import Callable, Mapping

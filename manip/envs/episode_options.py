@@ -18,7 +18,7 @@ class EpisodeOptions:
         seed: episode e of environment i depends on (seed, purpose, i, e) only.
         purpose: see `manip.envs.episode_streams.Purpose`.
         first_env: number of the first environment in the random streams; batches that
-            share a seed get episodes of their own by it.
+            share a seed have different episodes.
 
     Raises:
         UserError: an option is out of its range.

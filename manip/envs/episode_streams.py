@@ -71,15 +71,15 @@ class EpisodeStreams:
 def episode_seed(
     seed: int, purpose: int, env_id: int, episode: int
 ) -> np.random.SeedSequence:
-    """The seed of one episode, for libraries that have a generator of their own.
+    """The seed of one episode, for libraries that have their own generators.
 
-    A spawn key keeps the four numbers apart, however large the seed is.
+    With a spawn key, different (seed, purpose, env_id, episode) give different streams.
     """
     return np.random.SeedSequence(seed, spawn_key=(purpose, env_id, episode))
 
 
 def build_seed(seed: int, purpose: int, env_id: int) -> int:
-    """What an environment samples once, when it is built: a seed below 2^32."""
+    """The seed (below 2^32) of what an environment samples when it is built."""
     sequence = np.random.SeedSequence(seed, spawn_key=(purpose, env_id))
     return int(sequence.generate_state(1)[0])
 

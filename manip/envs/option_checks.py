@@ -37,6 +37,6 @@ def state_array(state: Mapping[str, Any], name: str, like: Array) -> Array:
     if (array.shape, array.dtype) != (like.shape, like.dtype):
         raise UserError(
             f"{name} of the saved state is {array.dtype} {list(array.shape)}, not "
-            f"{like.dtype} {list(like.shape)}: it is of other environments"
+            f"{like.dtype} {list(like.shape)}: it was saved by other environments"
         )
     return array

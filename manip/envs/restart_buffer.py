@@ -26,7 +26,7 @@ INTERVAL = 7
 class RestartBuffer:
     """The latest states of every milestone of a task but the last, its success.
 
-    A state belongs to the last milestone that it has reached.
+    A state is stored under the last milestone that it has reached.
 
     Args:
         milestones: number of the task's milestones.

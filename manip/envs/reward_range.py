@@ -1,4 +1,4 @@
-"""Check the promise of shaped rewards: a step pays from 0 to 1."""
+"""Check that shaped rewards are in [0, 1] per step."""
 
 import warnings
 

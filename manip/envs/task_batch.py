@@ -101,7 +101,7 @@ class TaskBatch(ABC):
         """Current readings of all environments."""
 
     def _version(self) -> object:
-        """Differs once the state has changed; by default it may always have."""
+        """A value that changes with the state; by default a new one in every call."""
         return object()
 
     @abstractmethod
@@ -121,7 +121,7 @@ class TaskBatch(ABC):
         """Advance all environments one control step; [N] bool, those that diverged."""
 
     def save_state(self) -> dict[str, Any]:
-        """Everything the coming steps depend on."""
+        """Complete state, as plain values and arrays."""
         raise UserError(f"{type(self).__name__} cannot save its state")
 
     def load_state(self, state: dict[str, Any]) -> None:
@@ -148,7 +148,7 @@ class TaskBatch(ABC):
         self._begun = self.episode >= 0
 
     def restart(self, seed: int | None = None, episode: int = 0) -> None:
-        """Let every environment's next episode be number `episode` of the seed."""
+        """Make every environment's next episode number `episode` of the seed."""
         at_least(0, "episode", episode)
         self.seed = check_seed(self.seed if seed is None else seed)
         self.episode[:] = episode - 1
@@ -199,7 +199,7 @@ class TaskBatch(ABC):
         return time_step
 
     def observe(self) -> TimeStep:
-        """The present state as after a reset: no episode has ended.
+        """The current state as a TimeStep, as after a reset: no episode has ended.
 
         Raises:
             UserError: rewards and observations of all environments are not finite.

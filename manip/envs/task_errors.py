@@ -28,7 +28,7 @@ def blamed(task: Task) -> Iterator[None]:
 
 @contextmanager
 def exits_blamed(task: Task) -> Iterator[None]:
-    """Raise UserError instead of what is no Exception: SystemExit and its like.
+    """Raise UserError instead of SystemExit and other BaseExceptions.
 
     For calls of a simulation, whose own errors are not the task's.
     """

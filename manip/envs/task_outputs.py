@@ -39,7 +39,7 @@ Form = dict[str, tuple[Any, Any]]
 class OutputForm:
     """Names, shapes and dtypes of a task's outputs, which must not change in a run.
 
-    Observation parts must keep their order, too: a learner sees the joined vector.
+    The order of observation parts must not change either: they are joined to a vector.
 
     Raises:
         UserError: see `check`.

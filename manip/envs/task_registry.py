@@ -18,11 +18,11 @@ def task_names() -> list[str]:
 
 
 def load_task(name: str) -> Task:
-    """The task of a name.
+    """Build the task called `name`.
 
     Args:
-        name: of an entry point, `package.module:Class`, or `library/name`. Modules of
-            the working directory are found as well as installed ones.
+        name: of an entry point, `package.module:Class`, or `library/name`. Modules
+            are searched in the working directory and among installed packages.
 
     Raises:
         UserError: no such task; the message lists those that exist.
@@ -41,7 +41,7 @@ def load_task_named_by(folder: Path, name: str) -> Task:
     """The task that a file names: a policy card, a run's configuration, or a dump.
 
     Code that came along with the file is never imported; in a working directory that
-    came along with it, only installed tasks are found.
+    came along with it, only installed tasks are searched.
 
     Args:
         folder: the run folder, or the folder that holds the file.

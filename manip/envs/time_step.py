@@ -1,4 +1,4 @@
-"""What a batch of environments returns for one control step."""
+"""TimeStep: the result of one control step of a batch of environments."""
 
 from collections.abc import Mapping
 from typing import NamedTuple

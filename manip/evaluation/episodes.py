@@ -1,4 +1,4 @@
-"""Run whole episodes, and record what happened in each."""
+"""Run whole episodes, and record the outcome of each."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 HELD_STEPS = 10
-"""Success is held if it is true in the last ten control steps of an episode."""
+"""`success_held`: success in each of the last ten control steps of an episode."""
 
 Policy = Callable[[Mapping[str, Tensor]], Tensor]
 """Observation parts, name -> [N, ...], to action [N, A]."""
@@ -71,7 +71,7 @@ class EpisodeTracker:
         return episodes
 
     def save_state(self) -> dict[str, Any]:
-        """Copy what is known of the episodes that are running."""
+        """Copy the accumulated values of the episodes under way."""
         counters = [counter.clone() for counter in self._counters()]
         stepped = self._milestones.shape[1] > 0
         milestones = self._milestones.clone() if stepped else None

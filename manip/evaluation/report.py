@@ -71,7 +71,7 @@ def summarise(episodes: Sequence[Episode], milestones: Sequence[str]) -> dict[st
 
 
 def table(result: Evaluation) -> Table:
-    """The result as a table; text of the policy's card is shown as it is."""
+    """The result as a table; text of the policy's card is printed without markup."""
     library = f"{result.env} {library_of(result.task)}"
     parts = (result.task, result.robot, result.algo, library)
     title = Text(printable(" · ".join(parts)), style="bold")

@@ -120,7 +120,7 @@ def _stock_episodes(policy: Policy, settings: EpisodeSettings) -> Iterator[Episo
 
 
 def _stock_episode(env: TaskEnv, policy: Policy, index: int) -> Episode:
-    """Run episode `index` of the settings, whatever ran before."""
+    """Run episode `index` of the settings, independent of earlier episodes."""
     env.batch.restart(episode=index)
     return run_episodes(env, policy, 1)[0]
 

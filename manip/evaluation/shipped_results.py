@@ -96,7 +96,7 @@ class Result:
 
 @dataclass(frozen=True)
 class Results:
-    """All results, and what others published.
+    """All results, and robosuite's published baseline.
 
     Attributes:
         robosuite_benchmark: task -> robot -> result of the SAC baseline that was
@@ -123,7 +123,7 @@ class Results:
         return Results(self.robosuite_benchmark, tuple(ordered))
 
     def save(self, path: Path = RESULTS) -> None:
-        """Write the file, whole or not at all."""
+        """Write the file atomically."""
         plain = {
             "robosuite_benchmark": self.robosuite_benchmark,
             "results": [result.to_dict() for result in self.results],

@@ -1,4 +1,4 @@
-"""Atomic writes: a file is whole or absent, whenever the process or machine stops."""
+"""Atomic writes: a file is complete or absent after a crash of process or machine."""
 
 import os
 import shutil
@@ -19,9 +19,9 @@ _OPEN_FILES = (Path("/dev/fd"), Path("/proc/self/fd"))
 def replace_file(path: Path, write: Callable[[Path], object]) -> None:
     """Have `write` fill a temporary file beside `path`, then rename it to `path`.
 
-    The temporary name is hidden and keeps the suffix, which tells writers the format.
-    A symbolic link stays: the file that it points to is replaced. What is written to a
-    stream (/dev/stdout, a FIFO, a terminal) goes through it.
+    The temporary name is hidden and has the same suffix, from which writers derive the
+    format. A symbolic link stays: the file that it points to is replaced. A stream
+    (/dev/stdout, a FIFO, a terminal) is written to directly.
 
     Raises:
         UserError: `path` is a folder, a disk or a socket.
@@ -43,7 +43,7 @@ def replace_file(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in UTF-8, whole or not at all."""
+    """Write a text file in UTF-8, atomically."""
     replace_file(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
@@ -53,7 +53,7 @@ def link_file(source: Path, path: Path) -> None:
 
 
 def remove_partial(folder: Path, *subfolders: str) -> None:
-    """Remove temporary files of killed writers from a folder and some of its own."""
+    """Remove temporary files of killed writers from a folder and some subfolders."""
     for place in (folder, *(folder / name for name in subfolders)):
         for path in place.glob(f".*{_PARTIAL}*"):
             if path.is_file() or path.is_symlink():

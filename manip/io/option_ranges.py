@@ -29,9 +29,9 @@ class Range:
 
 
 COUNT = Range(1, MOST)
-"""A number of things, at least one."""
+"""A whole number of at least 1."""
 WHOLE = Range(0, MOST)
-"""A number of things, or none."""
+"""A whole number of at least 0."""
 SHARE = Range(0, 1)
 """A fraction."""
 NUMBER = Range(0, 10**9)

@@ -25,7 +25,7 @@ _READ_ERRORS = (
 
 
 def save_tree(path: Path, tree: Any) -> None:
-    """Write a tree to one safetensors file, whole or not at all.
+    """Write a tree to one safetensors file, atomically.
 
     Raises:
         TypeError: a dict has keys of two types, or a leaf cannot be stored.

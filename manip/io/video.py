@@ -41,7 +41,7 @@ def draw_caption(frame: np.ndarray, caption: Caption) -> np.ndarray:
 def save_animation(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
     """Write frames, uint8 [H, W, 3], to an .mp4 or .gif file.
 
-    The file appears when it is complete. Frames are taken one at a time, none before
+    The file appears when it is complete. Frames are read one by one, none before
     the suffix is checked.
 
     Args:

@@ -14,7 +14,7 @@ LARGEST = 2**18
 class _PlainLoader(yaml.SafeLoader):
     """Loads plain values only: no aliases, no merge keys, no key twice.
 
-    Nested aliases and merge keys let a few lines stand for billions of values.
+    With nested aliases and merge keys, a few lines define billions of values.
     """
 
     def compose_node(self, parent: Any, index: Any) -> Any:

@@ -52,7 +52,7 @@ class Benchmark:
     num_envs: int = 64
     """Number of environments that are stepped in parallel."""
     rounds: int = 7
-    """Rounds: measurements of each candidate."""
+    """Number of rounds, in each of which every candidate is measured once."""
     json: Path | None = None
     """File for figures, medians and spreads, as JSON."""
     plot: Path | None = None

@@ -1,4 +1,4 @@
-"""The main job in one command: train, evaluate in stock robosuite, render, plot."""
+"""`make demo`: train, evaluate in stock robosuite, render, plot."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -44,7 +44,7 @@ class Demo:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the demo; 0 if it ended, 3 if it was stopped and saved on the way."""
+    """Run the demo; exit code 0 at its end, 3 if training was stopped and saved."""
     options = cli.parse(Demo, arguments, "demo")
     _check(options)
     torch.set_num_threads(1)

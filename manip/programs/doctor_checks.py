@@ -83,7 +83,7 @@ if not cache_is_writable():
 
 @dataclass(frozen=True)
 class Check:
-    """Result of a check; `remedy` says what to do if it is not ok."""
+    """Result of a check; `remedy` is advice for a failed check."""
 
     name: str
     ok: bool
@@ -204,7 +204,7 @@ CHECKS: tuple[Callable[[], Check], ...] = (
 def _try(code: str) -> tuple[bool, str]:
     """Run Python code in a child; return whether it worked, and its last line."""
     command = [sys.executable, "-c", code]
-    # With a wrong MUJOCO_GL `import mujoco` itself fails; it has a check of its own.
+    # With a wrong MUJOCO_GL `import mujoco` itself fails; another check reports it.
     environment = os.environ | {"MUJOCO_GL": "disable"}
     try:
         child = subprocess.run(

@@ -36,7 +36,7 @@ class Evaluate:
     """Measure a policy's success on its task.
 
     The policy acts without exploration noise, in episodes that no policy is trained
-    or chosen on. Reported are success_once (in at least one control step),
+    or chosen on. The table gives success_once (in at least one control step),
     success_at_end (in the last) and success_held (in the last 10), each with its
     Wilson 95 % interval. The interval covers the choice of episodes; it does not cover
     how training with another seed would turn out.
@@ -45,8 +45,8 @@ class Evaluate:
     run: Annotated[Path, tyro.conf.Positional]
     """Run folder, policy folder, or name of a shipped policy (see `manip list`)."""
     env: Backend = "stock"
-    """What simulates the episodes (backend). stock: robosuite.make(...) itself, or the
-    library that the task comes from; native: the batch engine, many times faster."""
+    """Backend that simulates the episodes. stock: robosuite.make(...) itself, or the
+    library that defines the task; native: the batch engine, many times faster."""
     episodes: int = 100
     """Number of episodes. More episodes narrow the intervals and take longer."""
     seed: int = 0

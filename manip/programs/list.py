@@ -38,7 +38,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def catalogue() -> dict[str, list[str]]:
-    """Kind of thing -> names of all that exist."""
+    """Category (tasks, robots, ...) -> all names."""
     return {
         "tasks": task_names(),
         "external_tasks": external_names(),

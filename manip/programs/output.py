@@ -1,4 +1,4 @@
-"""Printing that cannot fail: what a program has saved does not depend on its reader."""
+"""Print without failing: a closed pipe or terminal does not end a program."""
 
 import contextlib
 import errno
@@ -68,7 +68,7 @@ class _LastingFile(io.FileIO):
 
 
 def _lasting(stream: TextIO | None) -> TextIO:
-    """The stream's file under a new stream; streams without a file stay as they are."""
+    """The stream's file under a new stream; streams without a file are not changed."""
     if stream is None:  # its descriptor was closed when Python started
         return open(os.devnull, "w")
     try:

@@ -29,8 +29,8 @@ Motion = dict[str, tuple[float, float]]
 class Replay:
     """Repeat the control step in which an environment's numbers were not finite.
 
-    Runs store such steps in their folder `dumps`. Printed are the joints before and
-    after the step, its action, and whether it fails again.
+    Runs store such steps in their folder `dumps`. The program prints the joints before
+    and after the step, its action, and whether it fails again.
     """
 
     dump: Annotated[Path, tyro.conf.Positional]
@@ -42,7 +42,10 @@ def main(arguments: Sequence[str]) -> int:
     options = cli.parse(Replay, arguments, "manip replay")
     dump = load_tree(options.dump)
     if not isinstance(dump, dict) or dump.get("format") != DUMP_FORMAT:
-        raise UserError(f"{options.dump} is no dump of a step (file of a run's dumps/)")
+        raise UserError(
+            f"{options.dump} is no dump of format {DUMP_FORMAT}: name a file of a "
+            "run's folder dumps, written by this version"
+        )
     try:
         return _replay(dump, options.dump)
     except UserError:

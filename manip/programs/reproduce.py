@@ -129,7 +129,9 @@ def chosen(options: Reproduce, stored: Results) -> list[TrainConfig]:
         check_choice("robot", options.robot, ROBOTS)
     names = {*known, *(config.task for config in known.values()), "all"}
     if not options.what:
-        raise UserError(f"reproduce what? known recipes: {', '.join(sorted(names))}")
+        raise UserError(
+            f"no recipe is named; known recipes: {', '.join(sorted(names))}"
+        )
     for name in options.what:
         if name not in names:
             raise unknown("recipe", name, sorted(names))

@@ -47,7 +47,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def with_table(text: str, table: str) -> str:
-    """Replace what stands between the two marks in a text by a table.
+    """Replace the text between the two marks by a table.
 
     Raises:
         UserError: a mark is missing.
@@ -55,7 +55,9 @@ def with_table(text: str, table: str) -> str:
     before, begin, rest = text.partition(BEGIN)
     _, end, after = rest.partition(END)
     if not (begin and end):
-        raise UserError(f"no place for results: mark it by {BEGIN!r} and {END!r}")
+        raise UserError(
+            f"the file has no place for the table: add the lines {BEGIN!r} and {END!r}"
+        )
     return f"{before}{begin}\n{table}\n{end}{after}"
 
 

@@ -54,15 +54,16 @@ class Study:
     tasks: tuple[str, ...] = ("Reach",)
     """Tasks; `gradients` and `clipping` use the first."""
     algos: tuple[str, ...] = tuple(algo for algo in algorithm_names() if algo != "bc")
-    """Algorithms of `algorithms`; by default all that learn from rewards."""
+    """Algorithms that `algorithms` compares; by default all that learn from rewards."""
     seeds: int = 3
-    """Number of runs of each variant, with seeds 0, 1, ..."""
+    """Number of runs of each variant, with seeds 0, 1, ...; more seeds narrow the
+    intervals."""
     steps: int | None = None
     """Control steps of a run; by default as many as its recipe has."""
     stages: tuple[int, ...] = (5_000, 20_000, 80_000)
     """Control steps of training after which `gradients` measures."""
     gamma: float = 0.97
-    """Discount of `gradients`."""
+    """Discount factor of `gradients`."""
     rollouts: int = 60
     """Rollouts per stage of `gradients`; more rollouts give narrower intervals."""
     length: int = 40

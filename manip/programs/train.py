@@ -25,7 +25,7 @@ from manip.training.run import train
 from manip.training.terminal import TerminalProgress
 
 _TEXT_OPTIONS = {"--task", "--algo", "--robot", "--out", "--wandb", "--agent.reference"}
-"""Options whose value stays as it is written."""
+"""Options whose value is text and must not be rewritten as a number."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Check the actions that a user hands over."""
+"""Check the shape and type of actions."""
 
 from typing import Any
 

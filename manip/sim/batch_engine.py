@@ -3,7 +3,7 @@
 One control period of one environment is robosuite's own sequence
 (environments/base.py): `mj_step1`, goal latched at the first substep, control law,
 `mj_step2`. As in robosuite, positions of bodies and sites, and contacts, are one
-substep old after a step: they belong to the state before the last integration.
+substep old after a step: they are those before the last integration.
 """
 
 from collections.abc import Mapping
@@ -49,11 +49,11 @@ class _Buffer(NamedTuple):
 
 
 class BatchEngine(NotCopied):
-    """Step N environments of a scene; keeps the contract of `Engine`.
+    """Step N environments of a scene; implements `Engine`.
 
     An environment's state row holds everything that a step depends on; see
-    `manip.sim.state_row.state_columns`. One thread at a time may use an engine. A
-    deep copy is an engine of its own; pickling is refused.
+    `manip.sim.state_row.state_columns`. Only one thread may use an engine at a time. A
+    deep copy is a separate engine; pickling raises UserError.
 
     Args:
         scene: what is simulated.

@@ -27,7 +27,7 @@ from manip.compiled import kernel
 Array = np.ndarray
 
 Work = Any
-"""A record from `new_work`; numba passes it as one pointer, whatever it holds."""
+"""A record from `new_work`; numba passes it as one pointer."""
 
 NULL_KP = 10.0
 """Null-space stiffness towards q0 [1/s^2] (control_utils.nullspace_torques)."""
@@ -127,8 +127,8 @@ def latch_pose_goal(action: Array, scale: Array, w: Work) -> None:
 
     dx [m] and turn [rad] are the first and the next three numbers of `action`, clipped
     to [-1, 1], times `scale`. They are relative to the present pose (robosuite's goal
-    update mode "achieved"). A scale [3] has no turn (OSC_POSITION): the goal keeps the
-    present rotation.
+    update mode "achieved"). A scale [3] has no turn (OSC_POSITION): the goal's rotation
+    is the present one.
     """
     turns = len(scale) == 6
     for i in range(3):

@@ -1,4 +1,4 @@
-"""mujoco's Renderer, used in a thread of its own and closed before the process ends."""
+"""mujoco's Renderer in a separate thread, closed before the process ends."""
 
 import weakref
 from collections.abc import Callable
@@ -16,7 +16,7 @@ _thread: GLThread | None = None
 
 
 class Drawer:
-    """Draw a model; every OpenGL call happens in the one `GLThread`.
+    """Draw a model; every OpenGL call is made in one `GLThread`.
 
     Args:
         model: its offscreen buffer is at least as large as the picture.

@@ -1,4 +1,4 @@
-"""The contract of an engine: what steps N environments of a scene."""
+"""Engine: the interface of simulations that step N environments of a scene."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Everything that n environments are: states [n, S] and readings [n, R], float64.
+    """Complete state of n environments: states [n, S] and readings [n, R], float64.
 
     S, R and the order of the columns are the engine's own.
     """
@@ -24,7 +24,7 @@ class Snapshot:
 class Engine(Protocol):
     """N independent environments of one scene.
 
-    Laws that every engine keeps:
+    Guarantees of every engine:
     * An environment does not depend on the others, on N, or on the number of threads.
     * A snapshot is complete: restored, at any place of any engine of the same scene,
       it replays bit for bit.
@@ -91,8 +91,8 @@ class Engine(Protocol):
     ) -> None:
         """Put some environments into a state in the middle of their episode.
 
-        The warm start becomes 0 and readings are refreshed. What is not given stays
-        as it is.
+        The warm start becomes 0 and readings are refreshed. Values that are not given
+        do not change.
 
         Args:
             env_ids: [n] int, each at most once.
@@ -119,7 +119,7 @@ class Engine(Protocol):
         """
 
     def save(self, env_ids: Array | slice = slice(None)) -> Snapshot:
-        """Copy everything that the given environments are."""
+        """Copy the complete state of some environments."""
 
     def restore(self, snapshot: Snapshot, env_ids: Array | slice = slice(None)) -> None:
         """Put saved environments back, bit for bit, in the given places."""

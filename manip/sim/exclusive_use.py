@@ -1,4 +1,4 @@
-"""A lock for what only one thread may use at a time."""
+"""A lock against use by two threads at the same time."""
 
 import os
 from threading import Lock

@@ -1,4 +1,4 @@
-"""Model fields: entries of MjModel that each environment has for itself."""
+"""Model fields: entries of MjModel that differ between environments."""
 
 from collections.abc import Mapping
 
@@ -49,7 +49,7 @@ def physics_field_slots(
     """Where the same fields lie in the physics model; None for what only is drawn.
 
     The physics model lacks visual geoms and materials, and numbers its geoms
-    differently. MuJoCo keeps colours as float32; physics does not read them.
+    differently. MuJoCo stores colours as float32; physics does not read them.
     """
     return tuple(
         _slot(model, name, array, target) if _simulated(model, array, target) else None

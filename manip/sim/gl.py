@@ -56,10 +56,10 @@ def keep_mujoco_gl(value: str | None = None) -> Iterator[None]:
 
 
 def import_mujoco() -> None:
-    """Import mujoco, without OpenGL and with a warning if MUJOCO_GL keeps it from it.
+    """Import mujoco; without OpenGL and with a warning if MUJOCO_GL makes it fail.
 
-    `use_backend` chooses another backend then. Errors that have another cause come
-    again with the next import of mujoco.
+    `use_backend` chooses another backend then. Errors that have another cause occur
+    again in the next import of mujoco.
     """
     try:
         importlib.import_module("mujoco")
@@ -90,7 +90,7 @@ def use_backend() -> str:
     Sets MUJOCO_GL and PYOPENGL_PLATFORM. Call it before the first renderer.
 
     Raises:
-        UserError: no backend draws here; the message says what to install.
+        UserError: no backend draws here; the message lists the packages to install.
     """
     backend = find_backend()
     if backend is None:
@@ -119,7 +119,7 @@ def _settings(backend: str) -> dict[str, str]:
 
 
 def _bind_again() -> None:
-    """Let an imported mujoco read MUJOCO_GL again; its Renderer looks it up late.
+    """Make an imported mujoco read MUJOCO_GL again, which its Renderer uses later.
 
     mujoco is imported without its Renderer where PYOPENGL_PLATFORM contradicts
     MUJOCO_GL.

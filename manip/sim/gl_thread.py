@@ -1,6 +1,6 @@
-"""A thread of its own for OpenGL.
+"""A separate thread for OpenGL.
 
-OpenGL's current context belongs to a thread. Drawing in a thread of its own never
+OpenGL has one current context per thread. Drawing in a separate thread never
 changes the context that another library made current in the user's thread.
 """
 
@@ -15,7 +15,7 @@ Result = TypeVar("Result")
 
 
 class GLThread:
-    """Run functions one by one in a thread that lives until the main thread ends.
+    """Run functions one by one in a thread that ends with the main thread.
 
     It ends before `atexit` functions run, among them those of mujoco and robosuite
     that shut OpenGL down: after that, contexts can no longer be freed.

@@ -1,4 +1,4 @@
-"""Refuse copies of what a copy would share or lose."""
+"""Base classes of objects that must not be copied or pickled."""
 
 import copy
 from typing import Any, NoReturn, Self
@@ -7,7 +7,7 @@ from manip.errors import UserError
 
 
 class NotCopied:
-    """Base of what holds native memory or another library's simulation.
+    """Base class of objects with native memory or another library's simulation.
 
     A copy would share that memory, or keep addresses of another process: stepping it
     would move the original. copy.copy, copy.deepcopy and pickle raise `UserError`;
@@ -20,7 +20,7 @@ class NotCopied:
 
 
 class DeepCopied(NotCopied):
-    """Base of what can be deep-copied member by member, but not copied otherwise."""
+    """Base class of objects that allow deep copies only, member by member."""
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Copy every member, each as its own class defines."""

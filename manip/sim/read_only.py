@@ -1,4 +1,4 @@
-"""Protect arrays that are handed out."""
+"""Make returned arrays read-only."""
 
 import numpy as np
 

@@ -52,7 +52,7 @@ def make_stock(
 ) -> Any:
     """Build `robosuite.make(name, robots=robot)` without rendering or cameras.
 
-    A reset keeps the compiled model. Further `options` are passed to robosuite. A
+    A reset does not compile the model again. `options` are passed to robosuite. A
     two-armed environment gets two arms of the kind.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Let other libraries log errors only: for a while, or in a whole program."""
+"""Make other libraries log errors only: in a context, or in a whole program."""
 
 import logging
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ _LOGGER = "robosuite_logs"
 
 
 def quiet_robosuite() -> None:
-    """Let robosuite log errors only, in this process, from now on.
+    """Make robosuite log errors only, in this process, from now on.
 
     For programs only: a library must not change the logs of its user.
     """
@@ -18,7 +18,7 @@ def quiet_robosuite() -> None:
 
 @contextmanager
 def quiet(logger: str = _LOGGER) -> Iterator[None]:
-    """Let a logger (robosuite's by default) pass errors only, in a `with` block."""
+    """Make a logger (robosuite's by default) pass errors only, in a `with` block."""
     log = logging.getLogger(logger)
 
     def block(record: logging.LogRecord) -> bool:

@@ -45,7 +45,7 @@ class Scene(NotCopied):
         layout: indices, names and gains.
         physics_fields: where the fields of `layout.fields` lie in `physics`; None for
             those that only pictures show.
-        touch_of_sensor: for each contact sensor the touch that it belongs to.
+        touch_of_sensor: for each contact sensor the touch to which it adds.
         substeps: simulation steps in a control period.
         control_dt: control period [s].
     """
@@ -180,7 +180,7 @@ def _strip(spec: mujoco.MjSpec, stock: Any, fidelity: Fidelity) -> None:
 
 
 def _exclude_from_floor(spec: mujoco.MjSpec, parked: tuple[str, ...]) -> None:
-    """Let bodies fall through the floor: resting on it would cost contacts."""
+    """Make bodies fall through the floor: resting on it would cost contacts."""
     for body in parked:
         spec.add_exclude(bodyname1="world", bodyname2=body)
 

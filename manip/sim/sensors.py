@@ -23,7 +23,7 @@ class Sensors:
     memory: name -> k; gives `<name>` [k], numbers that the task stores during an
         episode, 0 when it starts (see `Task.update_memory`).
     fields: name -> (model array, object), such as ("site_pos", "goal"); gives `<name>`
-        [k], entries of MjModel that each environment has for itself and that a reset
+        [k], entries of MjModel that differ between environments and that a reset
         may set. A reset that does not set a field puts the model's value back.
         Arrays are the float arrays that begin with body_, geom_, site_, dof_, jnt_,
         actuator_, cam_, light_ or mat_ (a dof_ array takes the name of a joint and

@@ -1,4 +1,4 @@
-"""The rows in which the batch engine keeps the states and readings of environments."""
+"""Layout of the rows in which the batch engine stores states and readings."""
 
 from collections.abc import Iterator
 

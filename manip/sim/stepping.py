@@ -24,11 +24,11 @@ LIMIT = 1e8
 
 
 class Plan(NamedTuple):
-    """What a control period needs besides the simulation.
+    """Constants of a control period.
 
-    substeps: simulation steps a control period. touch_start: column of the first touch
-    in a readings row. touch_of_sensor: for each contact sensor the touch that it adds
-    to. touch_limit [K]: the largest number of each touch, 1 for a flag.
+    substeps: simulation steps per control period. touch_start: column of the first
+    touch in a readings row. touch_of_sensor: for each contact sensor the touch that it
+    adds to. touch_limit [K]: the largest number of each touch, 1 for a flag.
     """
 
     substeps: int
@@ -90,7 +90,8 @@ def step_environments(
 ) -> None:
     """Step the environments whose numbers this thread takes from `counter` [1].
 
-    All threads share the counter. A broken environment keeps its state and readings.
+    All threads share the counter. The state and readings of a broken
+    environment do not change.
     """
     while True:
         env_id = take_number(counter.ctypes.data)

@@ -24,7 +24,7 @@ def check_stock(stock: Any, name: str, robot: RobotConfig, horizon: int) -> None
         stock: the environment.
         name: robosuite's name of the environment that is expected.
         robot: the arm, controller and control frequency that are expected.
-        horizon: length of an episode [control steps] that it has to last.
+        horizon: length of an episode [control steps] that it must allow.
 
     Raises:
         UserError: it differs in more; the message names each difference.

@@ -1,4 +1,4 @@
-"""What one thread simulates in: its own model, data and scratch memory."""
+"""The memory of one simulation thread: model, data and scratch arrays."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +19,7 @@ Array = np.ndarray
 class ThreadData(NotCopied):
     """A thread's own MjModel and MjData.
 
-    `sim` holds addresses inside the other members, which must live as long.
+    `sim` holds addresses inside the other members, which must exist as long as it.
     """
 
     model: mujoco.MjModel

@@ -1,4 +1,4 @@
-"""Threads that simulate: each with memory of its own."""
+"""Threads that simulate, each with separate memory."""
 
 import os
 from collections.abc import Callable

@@ -8,7 +8,7 @@ every choice of the weight w:
     R - V    the return less a baseline
     n = k    r_t + ... + gamma^(k-1) r_{t+k-1} + gamma^k V(s_{t+k}) - V(s_t)
 
-R sums rewards up to the time limit, and gamma^k V(s_{t+k}) stands for later rewards.
+R sums rewards up to the time limit, and gamma^k V(s_{t+k}) replaces later rewards.
 
     noise: trace of g's covariance / |mean of R - V's g|^2, of one rollout
     bias:  |mean of g - mean of R - V's g|^2 / |mean of R - V's g|^2

@@ -1,4 +1,4 @@
-"""Everything that a run's coming steps depend on: saved and restored."""
+"""Save and restore the agent, the environments and the random state of a run."""
 
 from typing import Any
 

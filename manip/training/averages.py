@@ -15,7 +15,7 @@ RECENT_ROLLOUTS = 20
 
 
 class TrainingAverages:
-    """The `train/` columns of metrics.csv.
+    """Compute the `train/` columns of metrics.csv.
 
     Args:
         milestones: names of the task's milestones.

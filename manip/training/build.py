@@ -36,7 +36,8 @@ def training_envs(config: TrainConfig) -> list[TaskEnv]:
     workers = config.agent.workers
     if config.num_envs % workers:
         raise UserError(
-            f"num_envs {config.num_envs} does not split evenly over {workers} workers"
+            f"num_envs {config.num_envs} does not split evenly over {workers} workers: "
+            f"choose a multiple of {workers}"
         )
     _check_buffer(config)
     return [_training_env(config, worker, workers) for worker in range(workers)]
@@ -48,7 +49,8 @@ def _check_buffer(config: TrainConfig) -> None:
     if capacity is not None and capacity < config.num_envs * length:
         raise UserError(
             f"agent.buffer_size {capacity} is smaller than a rollout of "
-            f"{config.num_envs} environments x {length} steps"
+            f"{config.num_envs} environments x {length} steps: set it to "
+            f"{config.num_envs * length} or more"
         )
 
 

@@ -69,7 +69,10 @@ class Checkpoints:
     def _checked(self, path: Path, state: Any) -> dict[str, Any]:
         version = state.get("format") if isinstance(state, dict) else None
         if version != FORMAT:
-            raise UserError(f"{path} has format {version}, this version reads {FORMAT}")
+            raise UserError(
+                f"{path} has format {version}, expected {FORMAT}: resume it with the "
+                "version of manip that wrote it"
+            )
         self._latest_is_whole = path == self.latest
         checked: dict[str, Any] = state
         return checked

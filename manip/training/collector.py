@@ -1,4 +1,4 @@
-"""Collecting experience: episodes continue from one rollout to the next."""
+"""Collect experience; episodes continue from one rollout to the next."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -71,12 +71,12 @@ class Rollout:
 
 
 class Collector:
-    """Rollouts for an agent, each with the agent's policy at the time it starts.
+    """Collect rollouts for an agent, each with its policy at the time it starts.
 
     Several environment batches are stepped side by side, and their rollouts taken in
     turns. With `ahead`, the next rollout is collected while the agent learns from the
-    last one. In both cases a policy is a fixed number of updates old, whatever the
-    speed of the threads, so that a run repeats bit for bit.
+    last one. In both cases a policy is a fixed number of updates old at any speed
+    of the threads, so that a run repeats bit for bit.
 
     Args:
         reward: computes the reward that the agent learns from, on the thread that

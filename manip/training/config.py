@@ -47,7 +47,8 @@ class TrainConfig:
     controller: Controller = "OSC_POSE"
     """Action space, as robosuite defines it (JOINT_VELOCITY: dm_control only)."""
     seed: Annotated[int, Range(0, 2**32 - 1)] = 0
-    """Seed of the environments, the networks and the exploration."""
+    """Seed of the environments, the networks and the exploration. The same command with
+    the same seed on the same machine gives the same run."""
     out: Path | None = None
     """Run folder; runs/<task>-<algo>-<seed> unless given."""
     resume: bool = False
@@ -55,43 +56,46 @@ class TrainConfig:
     steps: Annotated[int, COUNT] = 100_000
     """Control steps to train for, all environments together."""
     num_envs: Annotated[int, COUNT] = 32
-    """Environments that are simulated side by side."""
+    """Number of environments that are stepped in parallel. With more of them, policies
+    are updated less often per control step."""
     horizon: Annotated[int | None, COUNT] = None
     """Length of a training episode [control steps]; the task's own unless given."""
     control_freq: Annotated[int, COUNT] = 20
-    """Control frequency [Hz]."""
+    """Control frequency [Hz]: 10, 20, 25, 50 or 100."""
     fidelity: Fidelity = "fast"
-    """Physics of training; evaluation always uses exact physics."""
+    """Physics of training. exact: as stock robosuite; fast: larger time steps, and no
+    collisions of the arm's links. Evaluation always uses exact physics."""
     reward: Literal["shaped", "stock"] = "shaped"
     """Reward set: manip's own, or robosuite's shaped reward."""
     reward_weights: tuple[str, ...] = ()
-    """Weights that replace the reward set's own, as in `lift=0.6 reach=0.1`."""
+    """Weights of reward terms that replace those of the task, as in
+    `lift=0.6 reach=0.1`. A larger weight pays more for the term."""
     restart_fraction: Annotated[float, SHARE] = 0.0
     """Fraction of training episodes that start from a previously visited state."""
     cool_down: Annotated[float, SHARE] = 0.0
-    """Last fraction of the steps, in which learning rates fall linearly to zero.
-
-    It is a fraction of --steps: a finished run that is resumed with more steps starts
-    again at the full learning rates."""
+    """Last fraction of --steps in which learning rates fall linearly to zero. A
+    finished run that is resumed with more steps starts at the full rates again."""
     threads: Annotated[int | None, COUNT] = None
-    """Threads of physics and learner; the CPUs this process may use unless given."""
+    """Threads of simulation and learner; all CPUs of this process unless given. The
+    number changes the speed only."""
     gradients: Literal["native", "torchrl"] = "native"
-    """Gradients of SAC and PPO: compiled code that is compared with TorchRL's losses at
-    the start and now and then (native), or those losses with autograd (torchrl). All
-    other algorithms always learn through TorchRL's losses."""
+    """Gradients of SAC and PPO: native: compiled code, which is compared with TorchRL's
+    losses at the start and at every 1,000th update; torchrl: those losses with
+    autograd. All other algorithms always use TorchRL's losses."""
     overlap: bool = True
-    """Simulate and learn at the same time (off-policy algorithms only)."""
+    """Simulate and learn at the same time: faster on two cores or more (off-policy
+    algorithms only). The policy that collects is then older by one round of updates."""
     eval_every: Annotated[int, COUNT] = 10_000
-    """Control steps between evaluations."""
+    """Control steps between evaluations of the policy; the best one is saved."""
     eval_episodes: Annotated[int, COUNT] = 32
-    """Episodes per evaluation."""
+    """Episodes per evaluation: more choose the best policy better, and take longer."""
     faults: Literal["survive", "stop"] = "survive"
     """A number that is not finite ends an episode or skips an update (survive), or
     ends the run (stop)."""
     save_buffer: bool = True
     """Save the replay buffer in checkpoints; without it, a resumed run refills it."""
     checkpoint_every: Annotated[float, NUMBER] = 60.0
-    """Seconds between checkpoints; each evaluation also writes one."""
+    """Time between checkpoints [s]; each evaluation also writes one."""
     wandb: str | None = None
     """Log to this Weights & Biases project as well (needs the `wandb` extra)."""
     agent: AgentConfig = field(default_factory=lambda: load_algorithm("sac").Config())
@@ -208,8 +212,8 @@ def check_lasting(recorded: dict[str, Any], config: TrainConfig) -> None:
     ]
     if changed:
         raise UserError(
-            f"the run cannot go on with other options: {'; '.join(changed)}. Leave "
-            "them out, or start another run with another --out"
+            f"the run cannot be resumed with other options: {'; '.join(changed)}. "
+            "Leave them out, or start another run with another --out"
         )
 
 
@@ -235,7 +239,7 @@ def _check_names(values: dict[str, Any]) -> None:
 
 
 def recorded(folder: Path) -> TrainConfig:
-    """Read the configuration that a run has left in its folder.
+    """Read the configuration in a run folder.
 
     Raises:
         UserError: it is damaged, or names an algorithm whose code lies in the folder.
@@ -244,7 +248,7 @@ def recorded(folder: Path) -> TrainConfig:
     path = folder / "config.yaml"
     values = read_yaml(path)
     if not isinstance(values, dict):
-        raise UserError(f"{path} is damaged: it holds no options")
+        raise UserError(f"{path} is damaged: expected a mapping of options")
     values.pop("versions", None)
     check_algorithm_origin(str(values.get("algo", "sac")), folder)
     return from_dict(values)

@@ -29,7 +29,7 @@ class PolicyEvaluation:
 
     @property
     def score(self) -> list[float]:
-        """What policies of a run are compared by: success_held, then the return."""
+        """Key that compares policies of a run: success_held, then the return."""
         return [self.success["success_held"], self.mean_return]
 
     def row(self) -> dict[str, float]:
@@ -38,7 +38,7 @@ class PolicyEvaluation:
         return {f"eval/{name}": value for name, value in values.items()}
 
     def line(self, seconds: float) -> str:
-        """The results in a line, after so many seconds of training."""
+        """Describe the results in one line; `seconds` of training have passed."""
         shares = "  ".join(f"{n} {share:.0%}" for n, share in self.milestones.items())
         return (
             f"step {self.policy.card.env_steps:>9,}  {seconds:6.0f} s  "
@@ -48,7 +48,7 @@ class PolicyEvaluation:
 
 
 class Evaluator:
-    """Evaluates policies in exact physics, each over the same episodes.
+    """Evaluate policies in exact physics, each over the same episodes.
 
     Attributes:
         env: the evaluation's environments.
@@ -59,7 +59,7 @@ class Evaluator:
         self.env = evaluation_env(config)
 
     def __call__(self, agent: Agent, env_steps: int) -> PolicyEvaluation:
-        """Evaluate an agent's policy after so many control steps of training."""
+        """Evaluate an agent's policy after `env_steps` control steps of training."""
         policy = policy_of(agent, self._config, self.env, env_steps)
         self.env.batch.restart()
         episodes = run_episodes(self.env, policy, self._config.eval_episodes)

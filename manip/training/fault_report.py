@@ -1,4 +1,4 @@
-"""Messages about environments and updates that were lost to numbers not finite."""
+"""Messages about non-finite numbers in environments and updates."""
 
 from collections.abc import Iterator, Sequence
 

@@ -1,4 +1,4 @@
-"""One process at a time in a run folder, and signals that end a run after saving it."""
+"""Lock a run folder for one process, and end runs on signals after saving them."""
 
 import fcntl
 import os
@@ -57,7 +57,7 @@ def _lock(file: TextIO, folder: Path) -> None:
 
 
 class SignalHandler:
-    """While inside, the first Ctrl-C, SIGTERM or SIGHUP calls `stop`; a second kills.
+    """Call `stop` at the first Ctrl-C, SIGTERM or SIGHUP; a second one kills.
 
     Signals that the process ignores, as under nohup, stay ignored. Outside the main
     thread, where Python allows no handlers, signals keep their meaning.

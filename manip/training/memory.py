@@ -1,4 +1,4 @@
-"""Memory that a run will need, compared with what there is before it begins."""
+"""Check before a run that the memory it needs is available."""
 
 import os
 import resource
@@ -70,7 +70,7 @@ def memory_errors() -> Iterator[None]:
     """While inside, turn the errors of all allocators into `UserError`.
 
     Raises:
-        UserError: Python, numpy, torch or another library found no memory.
+        UserError: Python, numpy, torch or another library could not allocate memory.
     """
     try:
         yield

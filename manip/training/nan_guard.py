@@ -13,7 +13,7 @@ from manip.errors import UserError
 
 
 class NanGuard:
-    """Checks every gradient before an optimiser uses it, whatever the algorithm.
+    """Check every gradient before an optimiser uses it, for every algorithm.
 
     A gradient that is not finite becomes zero, which leaves the parameters finite.
 

@@ -1,4 +1,4 @@
-"""What a run reports while it trains."""
+"""Progress: the report that a run passes to its callback."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ class Progress:
 
     Attributes:
         env_steps: control steps taken so far, all environments together.
-        total_steps: control steps that the run takes in all.
+        total_steps: control steps of the whole run.
         seconds: wall time of training so far, over all processes of the run.
         steps_per_second: control steps a second of wall time, in this process.
         averages: recent training averages, as in the `train/` columns of metrics.csv.

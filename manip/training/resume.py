@@ -1,4 +1,4 @@
-"""A run as one checkpoint, and back."""
+"""Save a run to a checkpoint, and restore it."""
 
 import warnings
 from typing import Any
@@ -16,7 +16,7 @@ from manip.versions import versions
 def checkpoint_of(
     config: TrainConfig, parts: RunParts, state: RunState
 ) -> dict[str, Any]:
-    """Everything that the run needs to go on, and what it was made with."""
+    """State of the run as plain values and tensors, with its options and versions."""
     averages = parts.averages
     state.lost_updates = parts.guard.count
     state.episodes, state.reward_terms = [*averages.episodes], [*averages.terms]

@@ -23,7 +23,7 @@ from manip.training.state_check import (
 
 
 class ResumeCheck:
-    """Compares the state of a checkpoint with that of a run just built.
+    """Compare the state of a checkpoint with that of a new run.
 
     Args:
         config: options of the run.

@@ -28,16 +28,16 @@ from manip.training.trainer import Trainer
 
 @dataclass(frozen=True)
 class RunResult:
-    """What a run came to.
+    """Result of a run.
 
     Attributes:
         folder: the run folder.
         env_steps: control steps taken, over all processes of the run.
         seconds: wall time of training and evaluation [s].
-        finished: False if the run was stopped on the way; it can be resumed.
+        finished: False if the run was stopped before its last step; it can be resumed.
         success: success_once, success_at_end and success_held of the best evaluation;
             empty before the first.
-        policy: folder of the best policy; there is none before the first evaluation.
+        policy: folder of the best policy; it exists from the first evaluation on.
     """
 
     folder: Path
@@ -95,7 +95,7 @@ def train(
 def train_or_resume(
     config: TrainConfig, *, callback: Callback | None = None
 ) -> RunResult:
-    """Train, or go on with the run that the folder holds."""
+    """Train, or resume the run in the folder if there is one."""
     resume = Checkpoints(config.folder).exist()
     return train(replace(config, resume=resume), callback=callback)
 

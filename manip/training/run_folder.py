@@ -49,7 +49,7 @@ def check_run_folder(config: TrainConfig) -> None:
         )
     if not is_startable(config):
         raise UserError(
-            f"{folder} is not empty, and not a run that can be continued (it holds "
+            f"{folder} is not empty, and holds no run that can be resumed (it holds "
             f"{', '.join(_names(folder))}): choose another folder with --out"
         )
 

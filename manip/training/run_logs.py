@@ -19,7 +19,7 @@ Row = Mapping[str, float]
 
 
 class MetricsTable:
-    """A CSV file that grows by rows; later rows may bring new columns."""
+    """A CSV file to which rows are appended; later rows may have new columns."""
 
     def __init__(self, path: Path, rows: Sequence[Row]) -> None:
         """Write the table anew with the rows that there are already."""
@@ -120,7 +120,7 @@ class RunLog:
         wandb_project: Weights & Biases project to log to, too.
 
     Raises:
-        UserError: Weights & Biases refuses.
+        UserError: Weights & Biases reports an error.
     """
 
     def __init__(

@@ -18,7 +18,7 @@ from manip.training.nan_guard import NanGuard
 
 @dataclass(frozen=True)
 class RunParts:
-    """Environments, agent, and what watches them.
+    """The parts of a run: environments, agent, collector, evaluator, guards.
 
     Attributes:
         envs: training environments, one batch for each of the agent's workers.

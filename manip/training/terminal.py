@@ -1,4 +1,4 @@
-"""A live line on a terminal, plain lines in a log: the reports of a run on stderr."""
+"""Print the reports of a run on stderr: a live line on terminals, lines in logs."""
 
 import sys
 from collections.abc import Callable

@@ -31,7 +31,7 @@ class Trainer:
         UserError: the folder cannot take the run, or an option does not fit.
 
     Attributes:
-        parts: environments, agent, and what watches them.
+        parts: environments, agent, collector, evaluator, guards.
         state: counters and results so far.
         stop: the event.
     """
@@ -54,7 +54,7 @@ class Trainer:
 
     @property
     def stopping(self) -> bool:
-        """Whether the run was asked to end, by a signal or the `stop` event."""
+        """Whether a signal or the `stop` event requests the end of the run."""
         return self._interrupted or self.stop.is_set()
 
     def run(self) -> bool:

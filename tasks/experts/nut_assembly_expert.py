@@ -10,7 +10,7 @@ Array = np.ndarray
 
 
 def assemble_nut(m: Measures) -> Array:
-    """Take the nut by its handle, carry it over the peg, lower it, and let go."""
+    """Grasp the nut at its handle, carry it over the peg, lower and release it."""
     heading = yaw_angle(m["nut_mat"])
     offset = m["to_handle"] + 0.008 * m["nut_mat"][:, [0, 3, 6]]
     turn = np.arctan(np.tan(m["handle_turn"]))

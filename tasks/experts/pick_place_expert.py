@@ -11,7 +11,7 @@ Array = np.ndarray
 
 
 def pick_and_place(m: Measures, bin_centre: Array, symmetry: int) -> Array:
-    """Align with the object, take it, carry it over its target, lower it, let go.
+    """Align with the object, grasp it, carry it over its target, lower and release it.
 
     bin_centre [3] m: of the first bin; symmetry: see `pick_place_items.Item`.
     """

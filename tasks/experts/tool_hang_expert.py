@@ -23,7 +23,7 @@ TILT = 1.0
 
 
 def hang_tool(m: Measures) -> Array:
-    """Insert the frame into the stand, let go, hang the wrench on it, and let go."""
+    """Insert the frame into the stand, then hang the wrench on it; release both."""
     frame = fetch_bar(m, m["to_grip"], along=-m["frame_mat"][:, 2::3])
     touches = (m["frame_left"] > 0) & (m["frame_right"] > 0)
     grasped = frame.close & (m["gripper_closing"] > 0.9) & touches

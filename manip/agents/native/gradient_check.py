@@ -94,8 +94,8 @@ class GradientCheck(ABC, Generic[Gradients]):
     def _fall_back(self) -> None:
         self.in_use = self._reference
         warnings.warn(
-            "native gradients differ from TorchRL's on this machine: learning goes on "
-            "with TorchRL's losses and autograd, which is slower",
+            "native gradients differ from TorchRL's on this machine: training "
+            "continues with TorchRL's losses and autograd, which is slower",
             stacklevel=2,
         )
 

@@ -9,7 +9,7 @@ the activation y [B, out], and LayerNorm's deviation [B].
 Matrix products are BLAS calls (numba uses SciPy's). Everything else is fused into one
 loop over rows, which are in cache then.
 
-d_x stands for the gradient of the loss by x.
+d_x denotes the gradient of the loss with respect to x.
 """
 
 from collections.abc import Mapping, Sequence

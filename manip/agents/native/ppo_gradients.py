@@ -87,7 +87,7 @@ def gradients_of(
     threads: int,
     source: GradientSource,
 ) -> Gradients:
-    """Return checked native gradients, or TorchRL's if `source` says so."""
+    """Return checked native gradients, or TorchRL's if `source` is "torchrl"."""
     reference = AutogradGradients(loss, actor, params)
     if source == "torchrl":
         return reference

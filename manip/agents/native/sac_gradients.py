@@ -95,7 +95,7 @@ def sac_gradients(
     threads: int,
     source: GradientSource,
 ) -> Gradients:
-    """Return checked native gradients, or TorchRL's if `source` says so."""
+    """Return checked native gradients, or TorchRL's if `source` is "torchrl"."""
     reference = AutogradGradients(loss, params, actor.observation_dim)
     if source == "torchrl":
         return reference

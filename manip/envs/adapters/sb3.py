@@ -24,7 +24,10 @@ class Sb3VecEnv(VecEnv):
     def __init__(self, envs: VectorEnv) -> None:
         mode = envs.metadata.get("autoreset_mode")
         if mode != AutoresetMode.SAME_STEP:
-            raise UserError(f"environments must restart in the same step, not {mode}")
+            raise UserError(
+                f"environments must restart in the same step, but have autoreset mode "
+                f"{mode}: build them with AutoresetMode.SAME_STEP"
+            )
         self.envs = envs
         super().__init__(
             envs.num_envs, envs.single_observation_space, envs.single_action_space
@@ -63,17 +66,17 @@ class Sb3VecEnv(VecEnv):
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Not possible: environments have no attributes of their own."""
+        """Raise NotImplementedError: single environments have no attributes."""
         raise NotImplementedError(
-            "environments of a batch have no attributes of their own"
+            "the environments of a batch cannot have different attributes"
         )
 
     def env_method(
         self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
     ) -> list[Any]:
-        """Not possible: environments have no methods of their own."""
+        """Raise NotImplementedError: single environments have no methods."""
         raise NotImplementedError(
-            "environments of a batch have no methods of their own"
+            "the environments of a batch have no separate methods: call them on `envs`"
         )
 
     def env_is_wrapped(

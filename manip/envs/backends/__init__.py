@@ -1,1 +1,1 @@
-"""What steps a batch of task environments."""
+"""Backends that step a batch of task environments."""

@@ -68,7 +68,10 @@ class NativeBatch(DeepCopied, TaskBatch):
         **options: Any,
     ) -> None:
         if isinstance(task, ExternalTask):
-            raise UserError(f"{task.name} is not on the batch engine")
+            raise UserError(
+                f"{task.name} is not on the batch engine: use make_batch(task, ...), "
+                "which steps it with its own library"
+            )
         at_least(1, "num_envs", num_envs)
         at_least(1, "threads", 1 if threads is None else threads)
         check_robot_config(robot)

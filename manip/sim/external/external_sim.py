@@ -23,7 +23,7 @@ class ExternalStep(NamedTuple):
 class ExternalSim(NotCopied, ABC):
     """One environment of another library, started from a seed.
 
-    The same seed and actions give the same steps, whatever was simulated before: its
+    The same seed and actions give the same steps, independent of earlier episodes: its
     state is saved as seed and actions, and restored by repeating them.
     """
 
