@@ -177,6 +177,7 @@ def test_pictures_show_every_field(scene: Scene) -> None:
     [
         (("geom_contype", "cube_g0"), "unknown model array.*geom_friction"),
         (("body_subtreemass", "cube_main"), "unknown model array.*body_mass"),
+        (("geom_rbound", "cube_g0"), "unknown model array.*geom_"),
         (("opt_gravity", "cube_main"), "unknown model array.*geom_friction"),
         (("tendon_range", "cube_main"), "unknown model array.*jnt_range"),
         (("dof_damping", "robot0_j4"), "unknown joint 'robot0_j4'.*robot0_joint4"),

@@ -26,10 +26,10 @@ _ROWS = {
 _DRAWN_ONLY = ("cam", "light", "mat")
 
 _DERIVED = {
-    "acc0", "dir0", "invweight0", "length", "length0", "lengthrange", "mat0", "M0",
-    "pos0", "poscom0", "subtreemass",
+    "aabb", "acc0", "dir0", "invweight0", "length", "length0", "lengthrange", "mat0",
+    "M0", "pos0", "poscom0", "rbound", "subtreemass",
 }  # fmt: skip
-"""Endings of arrays that MuJoCo computes from others (mj_setConst): not to be set."""
+"""Endings of arrays that MuJoCo computes from others: not to be set."""
 
 
 def field_slots(
