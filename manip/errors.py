@@ -63,12 +63,16 @@ def check_choice(kind: str, name: str, known: Collection[str]) -> None:
         raise unknown(kind, name, sorted(known))
 
 
-def out_of_memory(error: BaseException) -> bool:
-    """Whether an error of any type comes from an allocator.
+ALLOCATOR_MESSAGES = (
+    *("allocate memory", "can't allocate", "not enough memory", "out of memory"),
+    *("bad_alloc", "bad alloc", "start new thread"),
+)
+"""In the errors of allocators that raise no MemoryError (torch, C++, threads)."""
 
-    torch raises RuntimeError, as does Python where no memory is left for a thread.
-    """
-    words = ("allocate memory", "out of memory", "bad_alloc", "start new thread")
-    return isinstance(error, MemoryError) or (
-        isinstance(error, RuntimeError) and any(word in str(error) for word in words)
+
+def out_of_memory(error: BaseException) -> bool:
+    """Whether an error of any type comes from an allocator."""
+    message = str(error).lower()
+    return isinstance(error, MemoryError) or any(
+        part in message for part in ALLOCATOR_MESSAGES
     )

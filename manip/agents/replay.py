@@ -12,7 +12,7 @@ was held in 96, 98, 88 and 96 % of 300 episodes (seeds 20 to 23), against 98, 99
 Rows are relabelled or sampled with another n or discount without new experience.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -21,12 +21,10 @@ from torch import Tensor
 
 from manip.agents.trajectory import episode_starts, reward_terms
 from manip.errors import UserError
+from manip.rewards.reward_function import RewardFunction
 
 NONE = -1
 """Link of a row that is the last of its episode or rollout."""
-
-RewardFunction = Callable[[TensorDictBase], Tensor]
-"""Rollout [N, T] -> reward [N, T, 1]."""
 
 
 class Replay:

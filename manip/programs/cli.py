@@ -10,7 +10,7 @@ from typing import TypeVar, cast
 
 import tyro
 
-from manip.errors import UserError, at_least, one_line
+from manip.errors import UserError, at_least, one_line, out_of_memory
 from manip.io.printable import printable
 from manip.programs.output import lasting_output
 
@@ -21,9 +21,6 @@ Program = Callable[[Sequence[str]], int]
 
 MISTAKE, INTERRUPTED = 2, 130
 """Exit codes: an error reported in one line, and Ctrl-C."""
-
-ALLOCATOR_MESSAGES = ("can't allocate", "not enough memory", "bad_alloc", "bad alloc")
-"""In the errors of allocators that raise no MemoryError (torch, C++)."""
 
 
 def parse(
@@ -90,7 +87,7 @@ def _run(program: Program, arguments: Sequence[str]) -> int:
         print("manip: interrupted", file=sys.stderr)
         return INTERRUPTED
     except Exception as error:
-        if not _out_of_memory(error):
+        if not out_of_memory(error):
             raise
         return _tell(f"not enough memory: {one_line(error)}")
 
@@ -99,12 +96,6 @@ def _tell(message: str) -> int:
     line = printable(" ".join(message.split()))
     print(f"manip: error: {line}", file=sys.stderr)
     return MISTAKE
-
-
-def _out_of_memory(error: Exception) -> bool:
-    return isinstance(error, MemoryError) or any(
-        part in str(error).lower() for part in ALLOCATOR_MESSAGES
-    )
 
 
 def _one_line(box: str) -> str:
