@@ -1,0 +1,96 @@
+"""Evaluate the policy of a run folder over many episodes, into one record."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from manip.agents.policy import Policy, load_policy
+from manip.envs.make_batch import Backend
+from manip.envs.task import Task
+from manip.envs.task_registry import load_task_named_by
+from manip.errors import UserError, at_least
+from manip.evaluation.report import Evaluation, summarise
+from manip.evaluation.runners import EpisodeSettings, Progress, evaluate_policy
+from manip.sim.scene import Fidelity
+from manip.versions import versions
+
+MOST_EPISODES = 100_000
+"""Native episodes run side by side, in memory."""
+
+
+@dataclass(frozen=True)
+class EvaluationOptions:
+    """The episodes of an evaluation, and the processes that run them.
+
+    Attributes:
+        env: backend that simulates the episodes.
+        episodes: their number.
+        seed: of their random streams.
+        fidelity: physics of the native engine.
+        processes: processes that run stock episodes, one for each usable CPU unless
+            given; the number changes the speed only.
+    """
+
+    env: Backend = "stock"
+    episodes: int = 100
+    seed: int = 0
+    fidelity: Fidelity = "exact"
+    processes: int | None = None
+
+
+def evaluate_run(
+    run: Path, options: EvaluationOptions, progress: Progress = lambda _: None
+) -> Evaluation:
+    """Run the episodes and summarise them.
+
+    Args:
+        run: run folder, policy folder, or name of a shipped policy.
+        options: the episodes.
+        progress: called with the number of episodes that have just ended.
+
+    Raises:
+        UserError: an option is out of range, or there is no such policy.
+    """
+    check_episodes(options.episodes)
+    at_least(0, "--seed", options.seed)
+    policy = load_policy(run)
+    card = policy.card
+    task = load_task_named_by(run, card.task)
+    settings = _settings(options, policy, task)
+    began = time.monotonic()
+    episodes = evaluate_policy(policy, settings, progress, options.processes)
+    return Evaluation(
+        task=card.task,
+        robot=card.robot,
+        algo=card.algo,
+        env=options.env,
+        fidelity=settings.fidelity,
+        episodes=options.episodes,
+        seed=options.seed,
+        purpose=settings.purpose.name.lower(),
+        env_steps_trained=card.env_steps,
+        **summarise(episodes, task.milestone_names),
+        seconds=time.monotonic() - began,
+        versions=versions(),
+    )
+
+
+def check_episodes(episodes: int, least: int = 1) -> None:
+    """Raise `UserError` unless --episodes is from `least` to `MOST_EPISODES`."""
+    at_least(least, "--episodes", episodes)
+    if episodes > MOST_EPISODES:
+        raise UserError(f"--episodes must be at most {MOST_EPISODES}, not {episodes}")
+
+
+def _settings(
+    options: EvaluationOptions, policy: Policy, task: Task
+) -> EpisodeSettings:
+    return EpisodeSettings(
+        task=task,
+        robot=policy.card.robot_config,
+        observation=policy.card.observation,
+        episodes=options.episodes,
+        seed=options.seed,
+        backend=options.env,
+        fidelity="exact" if options.env == "stock" else options.fidelity,
+    )
