@@ -20,7 +20,7 @@ from manip.programs.evaluate import Evaluate, evaluate
 from manip.programs.output import console
 from manip.programs.render import Render, render_video
 from manip.training.config import TrainConfig, recipe
-from manip.training.evaluate_run import check_episodes
+from manip.training.final_evaluation import check_episodes
 from manip.training.run import RunResult, train
 from manip.training.run_logs import read_metrics
 from manip.training.terminal import TerminalProgress

@@ -10,14 +10,21 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
+from manip.envs.external_task import library_of
 from manip.envs.make_batch import Backend
+from manip.errors import at_least
 from manip.evaluation.report import Evaluation, table
 from manip.io.atomic_files import write_text
 from manip.io.output_paths import check_output
 from manip.programs import cli
 from manip.programs.output import console
 from manip.sim.scene import Fidelity
-from manip.training.evaluate_run import EvaluationOptions, evaluate_run
+from manip.training.final_evaluation import (
+    EvaluationOptions,
+    check_episodes,
+    evaluate_on_task,
+    load_run,
+)
 
 
 @dataclass(frozen=True)
@@ -65,9 +72,15 @@ def evaluate(options: Evaluate) -> Evaluation:
     Raises:
         UserError: an option is out of range, or there is no such policy.
     """
+    check_episodes(options.episodes)
+    at_least(0, "--seed", options.seed)
+    policy, task = load_run(options.run)
     settings = EvaluationOptions(
         options.env, options.episodes, options.seed, options.fidelity
     )
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        running = bar.add_task(f"{options.env} episodes", total=options.episodes)
-        return evaluate_run(options.run, settings, lambda n: bar.advance(running, n))
+        name = f"{options.env} {library_of(policy.card.task)}"
+        running = bar.add_task(name, total=options.episodes)
+        return evaluate_on_task(
+            policy, task, settings, lambda n: bar.advance(running, n)
+        )

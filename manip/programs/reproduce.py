@@ -39,7 +39,7 @@ from manip.programs.ship_policy import ship_policy
 from manip.robot_config import ROBOTS
 from manip.training.build import imitates
 from manip.training.config import TrainConfig, recipes
-from manip.training.evaluate_run import check_episodes
+from manip.training.final_evaluation import check_episodes
 from manip.training.run import RunResult, train_or_resume
 from manip.training.terminal import TerminalProgress
 from manip.versions import versions

@@ -1,4 +1,4 @@
-"""Evaluate the policy of a run folder over many episodes, into one record."""
+"""Evaluate a trained policy over many episodes, into one record."""
 
 import time
 from dataclasses import dataclass
@@ -38,25 +38,34 @@ class EvaluationOptions:
     processes: int | None = None
 
 
-def evaluate_run(
-    run: Path, options: EvaluationOptions, progress: Progress = lambda _: None
+def load_run(run: Path) -> tuple[Policy, Task]:
+    """The policy of a run folder, policy folder or shipped name, and its task.
+
+    Raises:
+        UserError: there is no such policy or task.
+    """
+    policy = load_policy(run)
+    return policy, load_task_named_by(run, policy.card.task)
+
+
+def evaluate_on_task(
+    policy: Policy,
+    task: Task,
+    options: EvaluationOptions,
+    progress: Progress = lambda _: None,
 ) -> Evaluation:
     """Run the episodes and summarise them.
 
     Args:
-        run: run folder, policy folder, or name of a shipped policy.
+        policy: chooses the actions.
+        task: that of the policy.
         options: the episodes.
         progress: called with the number of episodes that have just ended.
 
     Raises:
-        UserError: an option is out of range, or there is no such policy.
+        UserError: the task lacks a part that the policy observes.
     """
-    check_episodes(options.episodes)
-    at_least(0, "--seed", options.seed)
-    policy = load_policy(run)
-    card = policy.card
-    task = load_task_named_by(run, card.task)
-    settings = _settings(options, policy, task)
+    card, settings = policy.card, _settings(options, policy, task)
     began = time.monotonic()
     episodes = evaluate_policy(policy, settings, progress, options.processes)
     return Evaluation(
