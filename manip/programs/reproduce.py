@@ -37,7 +37,7 @@ from manip.programs.output import console
 from manip.programs.results import table
 from manip.programs.ship_policy import ship_policy
 from manip.robot_config import ROBOTS
-from manip.training.build import imitates
+from manip.training.teacher import imitates
 from manip.training.config import TrainConfig, recipes
 from manip.training.final_evaluation import check_episodes
 from manip.training.run import RunResult, train_or_resume
@@ -194,6 +194,7 @@ def choice_rate(folder: Path) -> float:
         task=policy.card.task,
         robot=policy.card.robot_config,
         observation=policy.card.observation,
+        cameras=policy.card.cameras,
         episodes=CHOICE_EPISODES,
         purpose=CHOICE,
         backend="native",
