@@ -37,10 +37,10 @@ from manip.programs.output import console
 from manip.programs.results import table
 from manip.programs.ship_policy import ship_policy
 from manip.robot_config import ROBOTS
-from manip.training.teacher import imitates
 from manip.training.config import TrainConfig, recipes
 from manip.training.final_evaluation import check_episodes
 from manip.training.run import RunResult, train_or_resume
+from manip.training.teacher import imitates
 from manip.training.terminal import TerminalProgress
 from manip.versions import versions
 

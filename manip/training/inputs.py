@@ -18,7 +18,9 @@ def cameras_of(config: TrainConfig, quality: Quality) -> CameraConfig | None:
     if config.observe == "state":
         return None
     if not config.cameras:
-        raise UserError("--observe cameras needs one camera or more: name it by --cameras")
+        raise UserError(
+            "--observe cameras needs one camera or more: name it by --cameras"
+        )
     if not load_algorithm(config.algo).sees_images:
         able = [name for name in algorithm_names() if load_algorithm(name).sees_images]
         raise UserError(
@@ -33,5 +35,7 @@ def spaces_of(config: TrainConfig, env: TaskEnv) -> Spaces:
     return Spaces(
         env.observation_spec["observation"].shape[-1],
         env.action_spec.shape[-1],
-        None if config.observe == "state" else camera_inputs(env.batch.observation_spec),
+        None
+        if config.observe == "state"
+        else camera_inputs(env.batch.observation_spec),
     )

@@ -12,6 +12,7 @@ from manip.training.collector import Collector
 from manip.training.config import TrainConfig
 from manip.training.evaluator import Evaluator
 from manip.training.fault_report import FaultReport
+from manip.training.inputs import spaces_of
 from manip.training.memory import check_memory
 from manip.training.nan_guard import NanGuard
 
@@ -52,7 +53,7 @@ def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
     """
     envs = training_envs(config)
     evaluator = Evaluator(config)
-    _check_memory(config, evaluator.env)
+    check_memory(config, spaces_of(config, evaluator.env))
     agent = build_agent(config, evaluator.env)
     guard = NanGuard(agent.optimisers(), config.faults == "stop")
     milestones = evaluator.env.batch.task.milestone_names
@@ -67,8 +68,3 @@ def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
         averages=TrainingAverages(milestones, weights),
         faults=FaultReport(envs, guard),
     )
-
-
-def _check_memory(config: TrainConfig, env: TaskEnv) -> None:
-    sizes = env.observation_spec["observation"], env.action_spec
-    check_memory(config, *(spec.shape[-1] for spec in sizes))

@@ -1,6 +1,4 @@
-"""Whom a run imitates: the task's expert, or a trained policy."""
-
-from typing import Literal
+"""What a run imitates: the task's expert, or a trained policy."""
 
 from manip.agents.policy import Policy, load_policy
 from manip.agents.registry import load_algorithm
@@ -16,7 +14,7 @@ def imitates(config: TrainConfig) -> bool:
 
 
 def check_teacher(config: TrainConfig) -> None:
-    """Check that there is somebody to imitate, before anything is built.
+    """Check that a run has an expert or a teacher, if it imitates.
 
     Raises:
         UserError: experts act in another action space; the algorithm does not imitate.
@@ -30,14 +28,14 @@ def check_teacher(config: TrainConfig) -> None:
         raise UserError(f"{config.algo} imitates no --teacher: choose --algo bc")
 
 
-def expert_of(config: TrainConfig, batch: TaskBatch) -> Policy | Literal[True] | None:
-    """What labels a run's steps: a policy, the task's expert (True), or nothing.
+def expert_of(config: TrainConfig, batch: TaskBatch) -> Policy | bool:
+    """What labels a run's steps: a policy, the task's expert (True), or none (False).
 
     Raises:
         UserError: there is no such policy, or it does not fit the run.
     """
     if config.teacher is None:
-        return imitates(config) or None
+        return imitates(config)
     return fitting_policy(config.teacher, config, batch)
 
 
