@@ -15,10 +15,11 @@ from manip.evaluation.episodes import Episode
 from manip.evaluation.results_table import HEADER, markdown, rows
 from manip.evaluation.runners import EpisodeSettings, make_env
 from manip.evaluation.shipped_results import Result, Results, Run, load_results
-from manip.programs import cli, evaluate, reproduce
+from manip.programs import cli, reproduce
 from manip.programs import ship_policy as shipping
 from manip.programs.results import with_table
 from manip.robot_config import ROBOTS
+from manip.training import final_evaluation
 from manip.training.config import recipe_names, recipes
 from manip.training.run import train_or_resume
 
@@ -185,7 +186,7 @@ def tiny(monkeypatch, tmp_path: Path) -> Path:
     for module in (policy_files, shipping):
         monkeypatch.setattr(module, "SHIPPED", tmp_path / "policies")
     failed = Episode(0, 9, 1.0, False, False, False, None, (False, False))
-    for module in (reproduce, evaluate):
+    for module in (reproduce, final_evaluation):
         monkeypatch.setattr(module, "evaluate_policy", lambda *_: [failed])
     return results
 
@@ -218,7 +219,7 @@ def test_results_are_of_other_episodes_than_the_choice(tiny, tmp_path, monkeypat
         used.append((settings.purpose, settings.backend))
         return [Episode(0, 9, 1.0, True, True, True, 3, (True, True))]
 
-    for module in (reproduce, evaluate):
+    for module in (reproduce, final_evaluation):
         monkeypatch.setattr(module, "evaluate_policy", record)
     command = ["Reach", "--seeds", "1", "--episodes", "1", "--out", str(tmp_path)]
     assert cli.run(reproduce.main, command) == 0

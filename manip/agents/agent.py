@@ -9,6 +9,8 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
 
+from manip.agents.actor_inputs import ActorInputs
+from manip.agents.image_actor import ImageActor
 from manip.agents.networks import Actor, BinnedActor
 
 
@@ -27,10 +29,28 @@ class AgentConfig:
 
 @dataclass(frozen=True)
 class Spaces:
-    """Sizes that an agent's networks are built for."""
+    """Sizes that an agent's networks are built for.
+
+    Attributes:
+        observation_dim: D, length of the joined observation, which a critic may see.
+        action_dim: A.
+        actor: what the actor sees; the joined observation if None.
+    """
 
     observation_dim: int
     action_dim: int
+    actor: ActorInputs | None = None
+
+    @property
+    def inputs(self) -> ActorInputs:
+        """What the actor sees."""
+        return self.actor or ActorInputs()
+
+    @property
+    def vector_dim(self) -> int:
+        """V, number of entries of the joined observation that the actor sees."""
+        columns = self.inputs.columns
+        return self.observation_dim if columns is None else len(columns)
 
 
 class Agent(ABC):
@@ -43,7 +63,9 @@ class Agent(ABC):
         rollout_length: T, control steps of every environment between two updates.
         off_policy: may learn from rollouts of older policies: the next rollout can be
             collected while this one is learned from.
-        imitates: needs the task expert's action, `expert_action` [N, A], in each step.
+        imitates: needs the action of the task's expert, or of a trained policy, as
+            `expert_action` [N, A] in each step.
+        sees_images: its actor may see camera images (`Spaces.actor`).
         has_native_gradients: its constructor takes the keyword `gradients`, "native" or
             "torchrl"; others always learn through TorchRL's losses and autograd.
     """
@@ -52,9 +74,10 @@ class Agent(ABC):
     Config: ClassVar[type[AgentConfig]]
     off_policy: ClassVar[bool] = False
     imitates: ClassVar[bool] = False
+    sees_images: ClassVar[bool] = False
     has_native_gradients: ClassVar[bool] = False
 
-    actor: Actor | BinnedActor
+    actor: Actor | BinnedActor | ImageActor
     rollout_length: int
 
     @abstractmethod

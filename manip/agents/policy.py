@@ -15,6 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from manip.agents.image_actor import ImageActor
 from manip.agents.networks import Actor, BinnedActor
 from manip.agents.policy_card import PolicyCard, read_card
 from manip.errors import UserError, one_line
@@ -38,7 +39,7 @@ class Policy:
     """A deterministic policy: observation parts -> action [N, A] in [-1, 1]."""
 
     card: PolicyCard
-    actor: Actor | BinnedActor
+    actor: Actor | BinnedActor | ImageActor
 
     @torch.no_grad()
     def __call__(self, parts: Mapping[str, Tensor]) -> Tensor:

@@ -56,12 +56,22 @@ class EpisodeSettings:
 
 
 def evaluate_policy(
-    policy: Policy, settings: EpisodeSettings, progress: Progress = lambda _: None
+    policy: Policy,
+    settings: EpisodeSettings,
+    progress: Progress = lambda _: None,
+    processes: int | None = None,
 ) -> list[Episode]:
-    """Run the episodes: natively in one batch, else in a process for each usable CPU.
+    """Run the episodes: natively in one batch, else in several processes.
 
     Stock episodes begin with robosuite's hard reset (its default), so that sizes which
     it samples when it builds a model vary, too.
+
+    Args:
+        policy: chooses the actions.
+        settings: the episodes.
+        progress: called with the number of episodes that have just ended.
+        processes: processes that run stock episodes, one for each usable CPU unless
+            given; with 1, this very process. The number changes the speed only.
 
     Raises:
         UserError: the environment lacks a part of the observation.
@@ -69,10 +79,11 @@ def evaluate_policy(
     """
     if settings.backend == "native":
         env = make_env(settings, settings.episodes)
-        episodes = run_episodes(env, policy, settings.episodes)
-        progress(len(episodes))
-        return episodes
-    return list(_counted(_stock_episodes(policy, settings), progress))
+        results = run_episodes(env, policy, settings.episodes)
+        progress(len(results))
+        return results
+    episodes = _stock_episodes(policy, settings, processes or usable_cpus())
+    return list(_counted(episodes, progress))
 
 
 def make_env(settings: EpisodeSettings, num_envs: int = 1) -> TaskEnv:
@@ -98,8 +109,10 @@ def make_env(settings: EpisodeSettings, num_envs: int = 1) -> TaskEnv:
     return TaskEnv(batch)
 
 
-def _stock_episodes(policy: Policy, settings: EpisodeSettings) -> Iterator[Episode]:
-    processes = min(usable_cpus(), settings.episodes)
+def _stock_episodes(
+    policy: Policy, settings: EpisodeSettings, processes: int
+) -> Iterator[Episode]:
+    processes = min(processes, settings.episodes)
     if processes == 1:
         env = make_env(settings)
         for index in range(settings.episodes):

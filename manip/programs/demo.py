@@ -16,10 +16,11 @@ from manip.io.output_paths import check_output_folder
 from manip.io.printable import printable
 from manip.programs import cli
 from manip.programs.demo_folder import FILES, is_unfinished, remove_finished
-from manip.programs.evaluate import MOST_EPISODES, Evaluate, evaluate
+from manip.programs.evaluate import Evaluate, evaluate
 from manip.programs.output import console
 from manip.programs.render import Render, render_video
 from manip.training.config import TrainConfig, recipe
+from manip.training.final_evaluation import check_episodes
 from manip.training.run import RunResult, train
 from manip.training.run_logs import read_metrics
 from manip.training.terminal import TerminalProgress
@@ -66,7 +67,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def _check(options: Demo) -> None:
     at_least(0, "--seed", options.seed)
-    cli.check_range("--episodes", options.episodes, 1, MOST_EPISODES)
+    check_episodes(options.episodes)
     check_output_folder(options.out, "--out")
 
 

@@ -1,6 +1,5 @@
 """`manip evaluate`: measure a policy's success over many episodes."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,24 +10,21 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from manip.agents.policy import Policy, load_policy
 from manip.envs.external_task import library_of
 from manip.envs.make_batch import Backend
-from manip.envs.task import Task
-from manip.envs.task_registry import load_task_named_by
 from manip.errors import at_least
-from manip.evaluation.episodes import Episode
-from manip.evaluation.report import Evaluation, summarise, table
-from manip.evaluation.runners import EpisodeSettings, evaluate_policy
+from manip.evaluation.report import Evaluation, table
 from manip.io.atomic_files import write_text
 from manip.io.output_paths import check_output
 from manip.programs import cli
 from manip.programs.output import console
 from manip.sim.scene import Fidelity
-from manip.versions import versions
-
-MOST_EPISODES = 100_000
-"""Native episodes run side by side, in memory."""
+from manip.training.final_evaluation import (
+    EvaluationOptions,
+    check_episodes,
+    evaluate_on_task,
+    load_run,
+)
 
 
 @dataclass(frozen=True)
@@ -71,49 +67,20 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def evaluate(options: Evaluate) -> Evaluation:
-    """Run the episodes and summarise them.
+    """Run the episodes and summarise them, with a progress bar on stderr.
 
     Raises:
         UserError: an option is out of range, or there is no such policy.
     """
-    cli.check_range("--episodes", options.episodes, 1, MOST_EPISODES)
+    check_episodes(options.episodes)
     at_least(0, "--seed", options.seed)
-    policy = load_policy(options.run)
-    card = policy.card
-    task = load_task_named_by(options.run, card.task)
-    settings = _settings(options, policy, task)
-    began = time.monotonic()
-    episodes = _run(policy, settings, f"{options.env} {library_of(card.task)}")
-    return Evaluation(
-        task=card.task,
-        robot=card.robot,
-        algo=card.algo,
-        env=options.env,
-        fidelity=settings.fidelity,
-        episodes=options.episodes,
-        seed=options.seed,
-        purpose=settings.purpose.name.lower(),
-        env_steps_trained=card.env_steps,
-        **summarise(episodes, task.milestone_names),
-        seconds=time.monotonic() - began,
-        versions=versions(),
+    policy, task = load_run(options.run)
+    settings = EvaluationOptions(
+        options.env, options.episodes, options.seed, options.fidelity
     )
-
-
-def _settings(options: Evaluate, policy: Policy, task: Task) -> EpisodeSettings:
-    return EpisodeSettings(
-        task=task,
-        robot=policy.card.robot_config,
-        observation=policy.card.observation,
-        episodes=options.episodes,
-        seed=options.seed,
-        backend=options.env,
-        fidelity="exact" if options.env == "stock" else options.fidelity,
-    )
-
-
-def _run(policy: Policy, settings: EpisodeSettings, name: str) -> list[Episode]:
-    """Run the episodes, with a progress bar on stderr."""
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        running = bar.add_task(name, total=settings.episodes)
-        return evaluate_policy(policy, settings, lambda n: bar.advance(running, n))
+        name = f"{options.env} {library_of(policy.card.task)}"
+        running = bar.add_task(name, total=options.episodes)
+        return evaluate_on_task(
+            policy, task, settings, lambda n: bar.advance(running, n)
+        )

@@ -32,13 +32,14 @@ from manip.evaluation.statistics import success_rate
 from manip.io.atomic_files import write_text
 from manip.io.output_paths import check_output, check_output_folder
 from manip.programs import cli
-from manip.programs.evaluate import MOST_EPISODES, Evaluate, evaluate
+from manip.programs.evaluate import Evaluate, evaluate
 from manip.programs.output import console
 from manip.programs.results import table
 from manip.programs.ship_policy import ship_policy
 from manip.robot_config import ROBOTS
 from manip.training.build import imitates
 from manip.training.config import TrainConfig, recipes
+from manip.training.final_evaluation import check_episodes
 from manip.training.run import RunResult, train_or_resume
 from manip.training.terminal import TerminalProgress
 from manip.versions import versions
@@ -110,7 +111,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def _check(options: Reproduce) -> None:
     cli.check_range("--seeds", options.seeds, 1, MOST_SEEDS)
-    cli.check_range("--episodes", options.episodes, 1, MOST_EPISODES)
+    check_episodes(options.episodes)
     check_output_folder(options.out, "--out")
     if options.json:
         check_output(options.json, "--json")

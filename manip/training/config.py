@@ -58,6 +58,23 @@ class TrainConfig:
     num_envs: Annotated[int, COUNT] = 32
     """Number of environments that are stepped in parallel. With more of them, policies
     are updated less often per control step."""
+    observe: Literal["state", "cameras"] = "state"
+    """Observation of the actor. state: all parts of the task's observation; cameras:
+    camera images and proprioception, without the poses of objects."""
+    cameras: tuple[str, ...] = ("robot0_eye_in_hand",)
+    """Cameras that the actor sees with `--observe cameras`, by robosuite's names."""
+    image_size: Annotated[int, Range(8, 512)] = 32
+    """Height and width of the images [pixel]. Larger ones show more, and cost more time
+    to draw and to learn from."""
+    image_quality: Literal["exact", "lean"] = "lean"
+    """Images of training. exact: robosuite's bytes; lean: without reflections and with
+    fewer triangles, several times faster. Evaluation always uses exact images."""
+    frames: Annotated[int, Range(1, 16)] = 1
+    """Latest images that the actor sees of each camera (frame stack). More of them
+    show motion, and what has left the view."""
+    teacher: str | None = None
+    """Policy that `--algo bc` imitates instead of the task's expert: a run folder, a
+    policy folder or the name of a shipped policy. It sees the whole observation."""
     horizon: Annotated[int | None, COUNT] = None
     """Length of a training episode [control steps]; the task's own unless given."""
     control_freq: Annotated[int, COUNT] = 20

@@ -12,7 +12,9 @@ Keys, with N environments:
     reward_terms   [N, K] float32, named as `batch.reward_names`
     milestones     [N, M] bool, named as `batch.task.milestone_names`
     <camera>_image [N, H, W, C] uint8, a key for each camera
+    measures       [N, V] float32, named as `batch.measure_names`, if requested
     expert_action  [N, A] float32, the action of the task's expert, if requested
+    states, ...    what `batch.record` returns, if requested
 """
 
 from collections.abc import Iterable
@@ -36,14 +38,25 @@ class TaskEnv(EnvBase):
     Args:
         batch: the environments.
         expert: whether each step gives the action of the task's expert, too.
+        measures: whether it gives the task's visible measures, too.
+        states: whether it gives what `batch.record` returns, too.
+
+    Raises:
+        UserError: the task has no expert, or the batch cannot record its states.
     """
 
     batch_locked = True
 
-    def __init__(self, batch: TaskBatch, expert: bool = False) -> None:
+    def __init__(
+        self,
+        batch: TaskBatch,
+        expert: bool = False,
+        measures: bool = False,
+        states: bool = False,
+    ) -> None:
         super().__init__(batch_size=[batch.num_envs], device=None)
         self.batch = batch
-        self._expert = expert
+        self._expert, self._measures, self._states = expert, measures, states
         shape = self.batch_size
         dim = batch.observation_spec.dim
         milestones, terms = len(batch.task.milestone_names), len(batch.reward_names)
@@ -61,6 +74,12 @@ class TaskEnv(EnvBase):
             self.observation_spec[part.name] = Bounded(
                 0, 255, (*shape, *part.shape), dtype=torch.uint8
             )
+        if measures:
+            visible = Unbounded((*shape, len(batch.measure_names)))
+            self.observation_spec["measures"] = visible
+        for name, rows in (batch.record() if states else {}).items():
+            kind = torch.from_numpy(rows).dtype
+            self.observation_spec[name] = Unbounded(rows.shape, dtype=kind)
         if expert:
             self.observation_spec["expert_action"] = self.action_spec.clone()
         ends = ("done", "terminated", "truncated")
@@ -108,6 +127,11 @@ class TaskEnv(EnvBase):
         }
         for name, pictures in time_step.images.items():
             tensors[name] = torch.from_numpy(pictures)
+        if self._measures:
+            tensors["measures"] = torch.from_numpy(self.batch.measures())
+        if self._states:
+            recorded = self.batch.record().items()
+            tensors |= {name: torch.from_numpy(rows) for name, rows in recorded}
         if self._expert:
             expert = self.batch.expert().astype(np.float32)
             tensors["expert_action"] = torch.from_numpy(expert)

@@ -1,0 +1,57 @@
+"""Append-only files of JSON objects, one a line, that survive a killed writer."""
+
+import fcntl
+import json
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from manip.errors import DamagedError, UserError
+
+MOST_BYTES = 2**28
+"""Largest file that is read."""
+
+
+def read_lines(path: Path) -> list[dict[str, Any]]:
+    """The objects of a file in order; none if there is no such file.
+
+    A last line without line break, which a killed writer may leave, is left out.
+
+    Raises:
+        UserError: the file is too large.
+        DamagedError: a line is no JSON object.
+    """
+    if not path.is_file():
+        return []
+    if path.stat().st_size > MOST_BYTES:
+        raise UserError(f"{path} is larger than {MOST_BYTES} bytes")
+    lines = path.read_bytes().split(b"\n")[:-1]
+    return [_object(line, path, number) for number, line in enumerate(lines, 1)]
+
+
+def append_lines(path: Path, items: Iterable[Mapping[str, Any]]) -> None:
+    """Append objects in one write, and wait until they are on the disk.
+
+    What a killed writer left of a last line is cut off before. Writers of several
+    processes take turns.
+    """
+    text = "".join(json.dumps(item) + "\n" for item in items)
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+    with os.fdopen(handle, "r+b") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        file.truncate(file.read().rfind(b"\n") + 1)
+        file.seek(0, os.SEEK_END)
+        file.write(text.encode())
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _object(line: bytes, path: Path, number: int) -> dict[str, Any]:
+    try:
+        value = json.loads(line)
+    except (ValueError, RecursionError):
+        value = None
+    if not isinstance(value, dict):
+        raise DamagedError(f"{path} is damaged: line {number} is no JSON object")
+    return value

@@ -1,0 +1,105 @@
+"""Evaluate a trained policy over many episodes, into one record."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from manip.agents.policy import Policy, load_policy
+from manip.envs.make_batch import Backend
+from manip.envs.task import Task
+from manip.envs.task_registry import load_task_named_by
+from manip.errors import UserError, at_least
+from manip.evaluation.report import Evaluation, summarise
+from manip.evaluation.runners import EpisodeSettings, Progress, evaluate_policy
+from manip.sim.scene import Fidelity
+from manip.versions import versions
+
+MOST_EPISODES = 100_000
+"""Native episodes run side by side, in memory."""
+
+
+@dataclass(frozen=True)
+class EvaluationOptions:
+    """The episodes of an evaluation, and the processes that run them.
+
+    Attributes:
+        env: backend that simulates the episodes.
+        episodes: their number.
+        seed: of their random streams.
+        fidelity: physics of the native engine.
+        processes: processes that run stock episodes, one for each usable CPU unless
+            given; the number changes the speed only.
+    """
+
+    env: Backend = "stock"
+    episodes: int = 100
+    seed: int = 0
+    fidelity: Fidelity = "exact"
+    processes: int | None = None
+
+
+def load_run(run: Path) -> tuple[Policy, Task]:
+    """The policy of a run folder, policy folder or shipped name, and its task.
+
+    Raises:
+        UserError: there is no such policy or task.
+    """
+    policy = load_policy(run)
+    return policy, load_task_named_by(run, policy.card.task)
+
+
+def evaluate_on_task(
+    policy: Policy,
+    task: Task,
+    options: EvaluationOptions,
+    progress: Progress = lambda _: None,
+) -> Evaluation:
+    """Run the episodes and summarise them.
+
+    Args:
+        policy: chooses the actions.
+        task: that of the policy.
+        options: the episodes.
+        progress: called with the number of episodes that have just ended.
+
+    Raises:
+        UserError: the task lacks a part that the policy observes.
+    """
+    card, settings = policy.card, _settings(options, policy, task)
+    began = time.monotonic()
+    episodes = evaluate_policy(policy, settings, progress, options.processes)
+    return Evaluation(
+        task=card.task,
+        robot=card.robot,
+        algo=card.algo,
+        env=options.env,
+        fidelity=settings.fidelity,
+        episodes=options.episodes,
+        seed=options.seed,
+        purpose=settings.purpose.name.lower(),
+        env_steps_trained=card.env_steps,
+        **summarise(episodes, task.milestone_names),
+        seconds=time.monotonic() - began,
+        versions=versions(),
+    )
+
+
+def check_episodes(episodes: int, least: int = 1) -> None:
+    """Raise `UserError` unless --episodes is from `least` to `MOST_EPISODES`."""
+    at_least(least, "--episodes", episodes)
+    if episodes > MOST_EPISODES:
+        raise UserError(f"--episodes must be at most {MOST_EPISODES}, not {episodes}")
+
+
+def _settings(
+    options: EvaluationOptions, policy: Policy, task: Task
+) -> EpisodeSettings:
+    return EpisodeSettings(
+        task=task,
+        robot=policy.card.robot_config,
+        observation=policy.card.observation,
+        episodes=options.episodes,
+        seed=options.seed,
+        backend=options.env,
+        fidelity="exact" if options.env == "stock" else options.fidelity,
+    )
