@@ -12,6 +12,7 @@ from manip.training.collector import Collector
 from manip.training.config import TrainConfig
 from manip.training.evaluator import Evaluator
 from manip.training.fault_report import FaultReport
+from manip.training.initial_policy import start_agent
 from manip.training.inputs import spaces_of
 from manip.training.memory import check_memory
 from manip.training.nan_guard import NanGuard
@@ -29,6 +30,7 @@ class RunParts:
         guard: checks the agent's gradients and losses.
         averages: recent training averages.
         faults: reports what went wrong in environments and updates.
+        notes: lines that the run prints when it starts.
     """
 
     envs: Sequence[TaskEnv]
@@ -38,6 +40,7 @@ class RunParts:
     guard: NanGuard
     averages: TrainingAverages
     faults: FaultReport
+    notes: tuple[str, ...] = ()
 
     @property
     def milestones(self) -> tuple[str, ...]:
@@ -55,6 +58,7 @@ def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
     evaluator = Evaluator(config)
     check_memory(config, spaces_of(config, evaluator.env))
     agent = build_agent(config, evaluator.env)
+    notes = start_agent(config, agent, evaluator.env)
     guard = NanGuard(agent.optimisers(), config.faults == "stop")
     milestones = evaluator.env.batch.task.milestone_names
     batch = envs[0].batch
@@ -67,4 +71,5 @@ def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
         guard=guard,
         averages=TrainingAverages(milestones, weights),
         faults=FaultReport(envs, guard),
+        notes=notes,
     )
