@@ -23,6 +23,12 @@ TEXT = re.compile(r"[\w .,:/+()-]{0,200}", re.ASCII)
 
 WIDTH = Range(1, MOST_NEURONS)
 
+Observe = Literal["state", "cameras"]
+"""What an actor sees: the whole observation, or cameras and proprioception."""
+
+CAMERAS = "-cameras"
+"""End of the names of recipes and policies whose actor sees cameras."""
+
 MOST_CAMERAS = 16
 MOST_OUTPUTS = 2**24
 """Most numbers that the first convolution may make of an image."""
@@ -77,7 +83,12 @@ class PolicyCard:
     def name(self) -> str:
         """Name of the policy if it is shipped: task, arm if no Panda, and cameras."""
         robot = "" if self.robot == "Panda" else f"-{self.robot}"
-        return f"{self.task}{robot}{'-cameras' if self.cameras else ''}"
+        return f"{self.task}{robot}{CAMERAS if self.cameras else ''}"
+
+    @property
+    def method(self) -> str:
+        """Algorithm and observation, as recipes are named: bc, bc-cameras."""
+        return method_name(self.algo, "cameras" if self.cameras else "state")
 
     @cached_property
     def observation_spec(self) -> ObservationSpec:
@@ -116,6 +127,11 @@ class PolicyCard:
             return None
         shapes = tuple(part.shape for part in self.cameras.parts)
         return EncoderSizes(shapes, tuple(self.image_channels), self.image_features)
+
+
+def method_name(algo: str, observe: Observe) -> str:
+    """Algorithm and observation, as recipes are named: bc, bc-cameras."""
+    return algo if observe == "state" else f"{algo}{CAMERAS}"
 
 
 def read_card(values: Any) -> PolicyCard:

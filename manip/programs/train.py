@@ -15,13 +15,9 @@ from manip.envs.task_registry import load_task, load_task_named_by
 from manip.errors import UserError, check_choice
 from manip.programs import cli
 from manip.robot_config import CONTROLLERS, ROBOTS
-from manip.training.config import (
-    TrainConfig,
-    recipe,
-    recorded,
-    scales_other_actions,
-)
+from manip.training.config import TrainConfig, recorded
 from manip.training.initial_policy import starting_from
+from manip.training.recipes import recipe, scales_other_actions
 from manip.training.run import train
 from manip.training.terminal import TerminalProgress
 
@@ -40,6 +36,7 @@ class _Start:
     algo: str = "sac"
     robot: str | None = None
     controller: str | None = None
+    observe: str = "state"
     out: Path | None = None
     resume: bool = False
     init: str | None = None
@@ -96,7 +93,9 @@ def _defaults(arguments: Sequence[str]) -> TrainConfig:
             f"manip: the recipe's action_scale is not used with {start.controller}",
             file=sys.stderr,
         )
-    config = recipe(start.task, start.algo, start.robot, start.controller)
+    observe: Observe = "cameras" if start.observe == "cameras" else "state"
+    chosen = start.task, start.algo, start.robot, start.controller
+    config = recipe(*chosen, observe)
     return config if start.init is None else starting_from(config, start.init)
 
 
