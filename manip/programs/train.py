@@ -10,6 +10,7 @@ from pathlib import Path
 
 import tyro
 
+from manip.agents.policy_card import Observe
 from manip.envs.external_task import ExternalTask
 from manip.envs.task_registry import load_task, load_task_named_by
 from manip.errors import UserError, check_choice
@@ -22,7 +23,7 @@ from manip.training.run import train
 from manip.training.terminal import TerminalProgress
 
 _TEXT_OPTIONS = {
-    *("--task", "--algo", "--robot", "--out", "--wandb", "--init"),
+    *("--task", "--algo", "--robot", "--out", "--wandb", "--init", "--teacher"),
     "--agent.reference",
 }
 """Options whose value is text and must not be rewritten as a number."""
