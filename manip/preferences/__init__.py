@@ -1,0 +1,1 @@
+"""Preferences: clips of behaviour, comparisons of them, and learning from these."""
