@@ -218,5 +218,5 @@ def test_code_that_came_with_the_clips_is_not_run(
     (tmp_path / "evil.py").write_text("raise SystemExit('run')")
     monkeypatch.syspath_prepend(tmp_path)
     other = replace(clip, header=replace(clip.header, task="evil:Task"))
-    with pytest.raises(UserError, match="came along with"):
+    with pytest.raises(UserError, match="No module named 'evil'"):
         clip_player.ClipPlayer(tmp_path).measure_again(other)

@@ -1,1 +1,1 @@
-"""Preferences: clips of behaviour, comparisons of them, and learning from these."""
+"""Preferences: comparisons of clips, a reward learned from them, and its use."""
