@@ -19,6 +19,7 @@ TOWER = (
     {"sim"},
     {"envs"},
     {"agents", "evaluation", "tasks"},
+    {"preferences"},
     {"training"},
     {"benchmarks", "studies"},
     {"programs"},
