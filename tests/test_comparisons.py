@@ -1,4 +1,4 @@
-"""The file of comparisons: a checked chain that writers, kills and merges leave whole."""
+"""The file of comparisons: a chain that writers, kills and merges keep whole."""
 
 import json
 import multiprocessing
@@ -14,7 +14,7 @@ from clip_files import cut_all, recorded
 from manip.errors import DamagedError, UserError
 from manip.preferences.agreement import agreement
 from manip.preferences.clips import Clip, clip_ids, clip_path, save_clip
-from manip.preferences.comparison import Answer, comparison_id
+from manip.preferences.comparison_record import Answer, comparison_id
 from manip.preferences.comparisons import (
     COMPARISONS,
     append_comparison,

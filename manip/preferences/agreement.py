@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import combinations, pairwise
 
 from manip.evaluation.statistics import Rate, wilson_rate
-from manip.preferences.comparison import Comparison
+from manip.preferences.comparison_record import Comparison
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from manip.errors import DamagedError, UserError, one_line
 from manip.io.atomic_files import replace_file
 from manip.io.json_lines import parse_line, raw_lines, update_lines
 from manip.preferences.clips import clip_path, load_clip
-from manip.preferences.comparison import (
+from manip.preferences.comparison_record import (
     Answer,
     Comparison,
     check_answer,
