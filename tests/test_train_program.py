@@ -166,7 +166,7 @@ def test_a_buffer_that_does_not_fit_is_refused_before_it_is_made(monkeypatch) ->
     monkeypatch.setattr(resource, "getrlimit", lambda _: (2**32, 2**32))
     with pytest.raises(UserError, match=r"20,000,000 steps needs at least 6.5 GiB.*"):
         check_memory(large, Spaces(40, 7))
-    check_memory(recipe("Lift", "ppo"), 40, 7)
+    check_memory(recipe("Lift", "ppo"), Spaces(40, 7))
 
 
 def test_memory_that_a_short_run_never_fills_is_not_needed(monkeypatch) -> None:
