@@ -15,9 +15,10 @@ import torch
 from manip.errors import UserError, out_of_memory
 from manip.programs import train
 from manip.training import memory
-from manip.training.config import TrainConfig, recipe
+from manip.training.config import TrainConfig
 from manip.training.memory import check_memory, memory_errors
 from manip.training.progress import Progress
+from manip.training.recipes import recipe
 from manip.training.run_logs import check_wandb
 from manip.training.terminal import TerminalProgress
 
