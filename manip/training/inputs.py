@@ -18,9 +18,7 @@ def cameras_of(config: TrainConfig, quality: Quality) -> CameraConfig | None:
     if config.observe == "state":
         return None
     if not config.cameras:
-        raise UserError(
-            "--observe cameras needs one camera or more: name it by --cameras"
-        )
+        raise UserError("--observe cameras needs one camera or more: set --cameras")
     if not load_algorithm(config.algo).sees_images:
         able = [name for name in algorithm_names() if load_algorithm(name).sees_images]
         raise UserError(
