@@ -90,7 +90,7 @@ def test_a_buffer_without_these_cameras_is_refused() -> None:
     with pytest.raises(ValueError, match=r"a replay buffer of columns .*wrist_image"):
         Replay(20, 1, 1).load_state(saved)
     saved["buffer"]["after:wrist_image"] = torch.zeros(3, 2, 2, 3)
-    with pytest.raises(ValueError, match=r"column after:wrist_image .* is torch\.float"):
+    with pytest.raises(ValueError, match=r"after:wrist_image .* is torch\.float"):
         replay_of().load_state(saved)
 
 

@@ -147,5 +147,5 @@ def test_a_restored_agent_goes_on_bit_for_bit() -> None:
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_learns_to_go_to_the_goal_from_pictures(seed: int) -> None:
     agent = image_agent(seed=seed)
-    learn(agent, Rollout(PicturedPoints([20] * 16, seed)), rollouts=25)
+    learn(agent, Rollout(PicturedPoints([20] * 16, seed)), rollouts=12)
     assert mean_return(agent) > 15.5
