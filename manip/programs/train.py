@@ -10,23 +10,20 @@ from pathlib import Path
 
 import tyro
 
+from manip.agents.policy_card import Observe
 from manip.envs.external_task import ExternalTask
 from manip.envs.task_registry import load_task, load_task_named_by
 from manip.errors import UserError, check_choice
 from manip.programs import cli
 from manip.robot_config import CONTROLLERS, ROBOTS
-from manip.training.config import (
-    TrainConfig,
-    recipe,
-    recorded,
-    scales_other_actions,
-)
+from manip.training.config import TrainConfig, recorded
 from manip.training.initial_policy import starting_from
+from manip.training.recipes import recipe, scales_other_actions
 from manip.training.run import train
 from manip.training.terminal import TerminalProgress
 
 _TEXT_OPTIONS = {
-    *("--task", "--algo", "--robot", "--out", "--wandb", "--init"),
+    *("--task", "--algo", "--robot", "--out", "--wandb", "--init", "--teacher"),
     "--agent.reference",
 }
 """Options whose value is text and must not be rewritten as a number."""
@@ -40,6 +37,7 @@ class _Start:
     algo: str = "sac"
     robot: str | None = None
     controller: str | None = None
+    observe: str = "state"
     out: Path | None = None
     resume: bool = False
     init: str | None = None
@@ -96,7 +94,9 @@ def _defaults(arguments: Sequence[str]) -> TrainConfig:
             f"manip: the recipe's action_scale is not used with {start.controller}",
             file=sys.stderr,
         )
-    config = recipe(start.task, start.algo, start.robot, start.controller)
+    observe: Observe = "cameras" if start.observe == "cameras" else "state"
+    chosen = start.task, start.algo, start.robot, start.controller
+    config = recipe(*chosen, observe)
     return config if start.init is None else starting_from(config, start.init)
 
 

@@ -2,7 +2,7 @@
 
 `recipe` gives tuned options, and `train` a `RunResult`:
 
-    from manip.training.config import recipe
+    from manip.training.recipes import recipe
     from manip.training.run import train
 
     result = train(recipe("Lift", "sac"), callback=print)
@@ -64,7 +64,7 @@ def train(
     share that generator and do not repeat bit for bit: use processes.
 
     Args:
-        config: options of the run; `manip.training.config.recipe` gives tuned ones.
+        config: options of the run; `manip.training.recipes.recipe` gives tuned ones.
         callback: called with a `Progress` after every rollout and evaluation, on this
             thread. What it raises ends the run.
         reward: computes the reward that the agent learns from, for each rollout; the
