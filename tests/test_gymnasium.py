@@ -23,7 +23,6 @@ from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.task_registry import load_task, task_names
 from manip.errors import UserError
 from manip.sim import gl
-from manip.sim.stock_driver import StockDriver
 
 Array = np.ndarray
 
@@ -40,9 +39,7 @@ def _shared_scenes(scene_of, monkeypatch) -> None:
 
     monkeypatch.setattr(native, "load_scene", load_scene)
     monkeypatch.setattr(
-        stock,
-        "open_stock",
-        lambda name, *_, **__: StockDriver(load_scene(name, None).stock),
+        stock, "make_stock", lambda name, *_, **__: load_scene(name, None).stock
     )
 
 
