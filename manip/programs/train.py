@@ -45,10 +45,8 @@ class _Start:
 
 def main(arguments: Sequence[str]) -> int:
     """Train; 0 when the run finished, 3 when it was stopped and saved before."""
-    arguments = list(_with_whole_numbers(arguments))
-    config = cli.parse(TrainConfig, arguments, "manip train", _defaults(arguments))
+    config = config_of(arguments)
     task = load_task(config.task)
-    check_choice("robot", config.robot, ROBOTS)
     with TerminalProgress() as progress:
         if isinstance(task, ExternalTask):
             progress.say(f"manip: {task.notice}")
@@ -56,6 +54,20 @@ def main(arguments: Sequence[str]) -> int:
         if result.finished:
             progress.say(f"trained policy: {result.policy}")
     return 0 if result.finished else 3
+
+
+def config_of(arguments: Sequence[str]) -> TrainConfig:
+    """The options of a command line, with the recipe's for those that it leaves out.
+
+    Raises:
+        UserError: an option, a value, a task or a robot that does not exist.
+        SystemExit: after --help.
+    """
+    arguments = list(_with_whole_numbers(arguments))
+    config = cli.parse(TrainConfig, arguments, "manip train", _defaults(arguments))
+    load_task(config.task)
+    check_choice("robot", config.robot, ROBOTS)
+    return config
 
 
 def _with_whole_numbers(arguments: Sequence[str]) -> Iterator[str]:
