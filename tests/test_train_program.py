@@ -173,6 +173,6 @@ def test_memory_that_a_short_run_never_fills_is_not_needed(monkeypatch) -> None:
     config = recipe("Lift", "sac")
     large = replace(config, agent=replace(config.agent, buffer_size=20_000_000))
     monkeypatch.setattr(memory, "available_memory", lambda: 2**30)
-    check_memory(replace(large, steps=100_000), 40, 7)
+    check_memory(replace(large, steps=100_000), Spaces(40, 7))
     with pytest.raises(UserError, match=r"of which 1.0 GiB are free: .*buffer-size"):
-        check_memory(replace(large, steps=10**8), 40, 7)
+        check_memory(replace(large, steps=10**8), Spaces(40, 7))
