@@ -19,12 +19,11 @@ import mujoco
 import numpy as np
 
 from manip.cameras import CameraConfig, part_name
-from manip.sim.canvas import Canvas
+from manip.sim.canvas import Canvas, camera_view
 from manip.sim.fields import write_slot
 from manip.sim.frustum import Frustum
 from manip.sim.gl import use_backend
 from manip.sim.gl_thread import GLThread, close_later, gl_thread, open_in_gl_thread
-from manip.sim.names import lookup
 from manip.sim.not_copied import NotCopied
 from manip.sim.scene import Scene
 from manip.sim.state_row import state_columns
@@ -50,7 +49,9 @@ class SceneCameras(NotCopied):
     """
 
     def __init__(self, scene: Scene, cameras: CameraConfig) -> None:
-        self._views = {part_name(n): _view(scene.visual, n) for n in cameras.names}
+        self._views = {
+            part_name(n): camera_view(scene.visual, n) for n in cameras.names
+        }
         use_backend()
         self._scene, self._shape = scene, (cameras.size, cameras.size, 3)
         self._columns = state_columns(scene)
@@ -111,13 +112,6 @@ class SceneCameras(NotCopied):
     def __deepcopy__(self, memo: dict[int, Any]) -> "SceneCameras":
         """The object itself."""
         return self
-
-
-def _view(model: mujoco.MjModel, camera: str) -> mujoco.MjvCamera:
-    view = mujoco.MjvCamera()
-    view.type = mujoco.mjtCamera.mjCAMERA_FIXED
-    view.fixedcamid = lookup(model, "camera", camera)
-    return view
 
 
 def _drawn_model(scene: Scene, size: int, lean: bool) -> mujoco.MjModel:
