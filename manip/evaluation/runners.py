@@ -125,7 +125,7 @@ def _stock_episodes(
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(processes, context, _start_worker, (policy, settings))
     try:
-        with _interrupts_blocked():
+        with interrupts_blocked():
             episodes = pool.map(_episode_of_worker, range(settings.episodes))
         yield from episodes
     except BrokenProcessPool as error:
@@ -150,7 +150,7 @@ def _end(pool: ProcessPoolExecutor) -> None:
 
 
 @contextmanager
-def _interrupts_blocked() -> Iterator[None]:
+def interrupts_blocked() -> Iterator[None]:
     """Block Ctrl-C here and, for good, in processes that are started inside.
 
     The terminal sends it to all processes; only the parent is to handle it, even while

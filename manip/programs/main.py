@@ -11,6 +11,7 @@ from manip.sim.robosuite_log import quiet_robosuite
 
 PROGRAMS = {
     "train": "train a policy",
+    "label": "compare pairs of clips on a page in the browser",
     "evaluate": "measure a policy's success, in stock robosuite or natively",
     "render": "make a video of a policy",
     "reproduce": "rerun shipped recipes and compare with their results",
@@ -19,6 +20,8 @@ PROGRAMS = {
     "list": "list tasks, robots, algorithms, recipes, policies",
     "doctor": "check that this machine can run manip",
     "benchmark": "measure speed",
+    "sweep": "train every combination of options and seeds",
+    "aggregate": "compare the runs of sweeps, with intervals over seeds",
     "study": "compare algorithms and their options",
 }
 """Program -> its purpose; each is the module of its name in `manip.programs`."""

@@ -17,7 +17,7 @@ from manip.errors import UserError, check_choice
 from manip.programs import cli
 from manip.robot_config import CONTROLLERS, ROBOTS
 from manip.training.config import TrainConfig, recorded
-from manip.training.initial_policy import starting_from
+from manip.training.initial_policy import observation_of, starting_from
 from manip.training.recipes import recipe, scales_other_actions
 from manip.training.run import train
 from manip.training.terminal import TerminalProgress
@@ -45,10 +45,8 @@ class _Start:
 
 def main(arguments: Sequence[str]) -> int:
     """Train; 0 when the run finished, 3 when it was stopped and saved before."""
-    arguments = list(_with_whole_numbers(arguments))
-    config = cli.parse(TrainConfig, arguments, "manip train", _defaults(arguments))
+    config = config_of(arguments)
     task = load_task(config.task)
-    check_choice("robot", config.robot, ROBOTS)
     with TerminalProgress() as progress:
         if isinstance(task, ExternalTask):
             progress.say(f"manip: {task.notice}")
@@ -56,6 +54,20 @@ def main(arguments: Sequence[str]) -> int:
         if result.finished:
             progress.say(f"trained policy: {result.policy}")
     return 0 if result.finished else 3
+
+
+def config_of(arguments: Sequence[str]) -> TrainConfig:
+    """The options of a command line, with the recipe's for those that it leaves out.
+
+    Raises:
+        UserError: an option, a value, a task or a robot that does not exist.
+        SystemExit: after --help.
+    """
+    arguments = list(_with_whole_numbers(arguments))
+    config = cli.parse(TrainConfig, arguments, "manip train", _defaults(arguments))
+    load_task(config.task)
+    check_choice("robot", config.robot, ROBOTS)
+    return config
 
 
 def _with_whole_numbers(arguments: Sequence[str]) -> Iterator[str]:
@@ -94,7 +106,8 @@ def _defaults(arguments: Sequence[str]) -> TrainConfig:
             f"manip: the recipe's action_scale is not used with {start.controller}",
             file=sys.stderr,
         )
-    observe: Observe = "cameras" if start.observe == "cameras" else "state"
+    initial = observation_of(start.init) if start.init else "state"
+    observe: Observe = "cameras" if start.observe == "cameras" else initial
     chosen = start.task, start.algo, start.robot, start.controller
     config = recipe(*chosen, observe)
     return config if start.init is None else starting_from(config, start.init)

@@ -93,11 +93,14 @@ def train(
 
 
 def train_or_resume(
-    config: TrainConfig, *, callback: Callback | None = None
+    config: TrainConfig,
+    *,
+    callback: Callback | None = None,
+    stop: threading.Event | None = None,
 ) -> RunResult:
     """Train, or resume the run in the folder if there is one."""
     resume = Checkpoints(config.folder).exist()
-    return train(replace(config, resume=resume), callback=callback)
+    return train(replace(config, resume=resume), callback=callback, stop=stop)
 
 
 def _result(folder: Path, state: RunState, finished: bool) -> RunResult:
