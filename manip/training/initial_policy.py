@@ -22,8 +22,8 @@ CAREFUL = {
     "initial_weight": 20.0,
 }
 """Options of --agent with which an initial policy is not lost at once: it collects from
-the first step, the critics learn before the actor does, entropy counts little, and SAC's
-actor stays near the policy at first."""
+the first step, the critics learn before the actor does, entropy counts little, and the
+actor of SAC stays near the policy at first."""
 
 
 def starting_from(config: TrainConfig, where: str) -> TrainConfig:
