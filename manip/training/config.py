@@ -61,6 +61,9 @@ class TrainConfig:
     camera images and proprioception, without the poses of objects."""
     cameras: tuple[str, ...] = ("robot0_eye_in_hand",)
     """Cameras that the actor sees with `--observe cameras`, by robosuite's names."""
+    parts: tuple[str, ...] = ()
+    """Parts of the observation that the actor sees besides the cameras' images; those
+    that a real arm measures by itself (proprioception) unless given."""
     image_size: Annotated[int, Range(8, 512)] = 32
     """Height and width of the images [pixel]. Larger ones show more, and cost more time
     to draw and to learn from."""
