@@ -19,9 +19,12 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from manip.agents.trajectory import episode_starts, reward_terms
+from manip.agents.trajectory import episode_starts, numbers_after
 from manip.errors import UserError
 from manip.rewards.reward_function import RewardFunction
+
+OPTIONAL = {"terms": "reward_terms", "measures": "measures"}
+"""Column -> key of a rollout's `next` that it stores, where rollouts have it."""
 
 NONE = -1
 """Link of a row that is the last of its episode or rollout."""
@@ -32,7 +35,8 @@ class Replay:
 
     Columns, S = capacity: `before` [S, O + A] observation and action, `after` [S, O]
     next observation, `reward` [S], `terminated` [S], `ended` [S], `terms` [S, K] raw
-    reward terms, `env` [S], `episode` [S] a number for each episode, `link` [S].
+    reward terms, `measures` [S, M] visible measures, `env` [S], `episode` [S] a number
+    for each episode, `link` [S]. K and M are 0 where rollouts have none.
 
     Args:
         capacity: most steps that are stored.
@@ -111,6 +115,7 @@ class Replay:
             "observation": column["after"],
             "reward": column["reward"][..., None],
             "reward_terms": column["terms"],
+            "measures": column["measures"],
             "terminated": column["terminated"][..., None],
             "done": column["ended"][..., None],
         }
@@ -158,7 +163,7 @@ class Replay:
         stored = state["buffer"]
         size = 0 if stored is None else len(stored["reward"])
         if stored is not None:
-            self._fit_terms(stored["terms"])
+            self._fit_widths({name: stored[name] for name in OPTIONAL})
             _check_columns(stored, self._columns, size)
         _check_links(state, size, self.capacity)
         for name, column in (stored or {}).items():
@@ -168,14 +173,17 @@ class Replay:
         self._episodes = state["episodes"]
 
     def _prepare(self, batch: TensorDictBase) -> None:
-        """Make room for reward terms, and begin anew with other environments."""
-        self._fit_terms(reward_terms(batch))
+        """Make room for optional numbers; begin anew with other environments."""
+        self._fit_widths({n: numbers_after(batch, key) for n, key in OPTIONAL.items()})
         if len(self._current) != len(batch):
             self._current = torch.full((len(batch),), NONE)
 
-    def _fit_terms(self, terms: Tensor) -> None:
-        if terms.shape[-1] != self._columns["terms"].shape[-1] and not self._size:
-            self._columns["terms"] = torch.zeros(self.capacity, terms.shape[-1])
+    def _fit_widths(self, numbers: Mapping[str, Tensor]) -> None:
+        """Give the optional columns the widths of numbers [..., K], while empty."""
+        for name, values in numbers.items():
+            width = values.shape[-1]
+            if width != self._columns[name].shape[-1] and not self._size:
+                self._columns[name] = torch.zeros(self.capacity, width)
 
     def _number_episodes(self, ended: Tensor) -> Tensor:
         """Number the episodes of [N, T] steps; `_current` [N] is advanced past them."""
@@ -195,10 +203,10 @@ class Replay:
             "reward": after["reward"].squeeze(-1),
             "terminated": after["terminated"].squeeze(-1),
             "ended": after["done"].squeeze(-1),
-            "terms": reward_terms(batch),
             "env": env,
             "episode": episode,
         }
+        values |= {name: numbers_after(batch, key) for name, key in OPTIONAL.items()}
         for name, value in values.items():
             self._columns[name][rows] = value.flatten(0, 1)
 
@@ -217,7 +225,7 @@ def _allocate(capacity: int, observations: int, actions: int) -> dict[str, Tenso
             "reward": torch.zeros(capacity),
             "terminated": torch.zeros(capacity, dtype=torch.bool),
             "ended": torch.zeros(capacity, dtype=torch.bool),
-            "terms": torch.zeros(capacity, 0),
+            **{name: torch.zeros(capacity, 0) for name in OPTIONAL},
             "env": torch.zeros(capacity, dtype=torch.int32),
             "episode": torch.zeros(capacity, dtype=torch.int64),
             "link": torch.zeros(capacity, dtype=torch.int64),

@@ -1,0 +1,1 @@
+"""Preferences: comparisons of clips, a reward learned from them, and its use."""
