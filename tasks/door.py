@@ -125,6 +125,19 @@ class Door(Task):
             "stay": self.success(m).astype(float),
         }
 
+    def visible_measures(self, m: Measures) -> dict[str, Array]:
+        """The hand's, then the door's.
+
+        object_distance [N] m from the tool to the handle; handle_angle and hinge_angle
+        [N] rad, how far they are turned.
+        """
+        return {
+            **super().visible_measures(m),
+            "object_distance": m["distance"],
+            "handle_angle": np.abs(m["handle"]),
+            "hinge_angle": m["hinge"],
+        }
+
     def success(self, m: Measures) -> Array:
         """The hinge is open by more than 0.3 rad."""
         return m["hinge"] > OPEN

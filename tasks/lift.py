@@ -34,6 +34,7 @@ from manip.tasks.cube import (
     observe_cube,
 )
 from manip.tasks.experts.cube_expert import take_cube
+from manip.tasks.object_measures import object_measures
 from manip.tasks.rotations import yaw_quaternion
 
 Array = np.ndarray
@@ -95,6 +96,10 @@ class Lift(Task):
             "grasp": grasp_term(m),
             "lift": ramp(m["height"] - REST, 0.0, 0.05),
         }
+
+    def visible_measures(self, m: Measures) -> dict[str, Array]:
+        """The hand's, then the cube's (see `object_measures`)."""
+        return {**super().visible_measures(m), **object_measures(m, "cube")}
 
     def success(self, m: Measures) -> Array:
         """The cube's centre is more than 4 cm above the table."""

@@ -28,6 +28,7 @@ from manip.tasks.nut_assembly_measures import (
     measure_nut,
     on_peg_and_clear,
 )
+from manip.tasks.object_measures import object_measures
 from manip.tasks.placement import PARKED
 from manip.tasks.rotations import cos_sin, yaw_angle, yaw_quaternion
 
@@ -108,6 +109,18 @@ class NutAssembly(Task):
     def reward_terms(self, m: Measures, reward: str) -> dict[str, Array]:
         """Terms of the shaped or the stock reward."""
         return rewards.TERMS[reward](m, self.success(m))
+
+    def visible_measures(self, m: Measures) -> dict[str, Array]:
+        """The hand's and the nut's (see `object_measures`); aside [N] m from its peg.
+
+        object_distance is to the handle; object_height is that of the nut's centre in
+        the world.
+        """
+        return {
+            **super().visible_measures(m),
+            **object_measures(m, "nut"),
+            "aside": m["aside"],
+        }
 
     def success(self, m: Measures) -> Array:
         """The nut is low, at its peg, and its centre away from the tool."""

@@ -37,6 +37,7 @@ from manip.tasks.cube import (
     start_cube,
 )
 from manip.tasks.experts.cube_expert import take_cube
+from manip.tasks.object_measures import object_measures
 from manip.tasks.rotations import cos_sin, rotation_matrix, yaw_angle
 from manip.tasks.scenes.cube_scene import HALF, SPREAD
 from manip.tasks.scenes.pick_goal_scene import GOAL_HIGH, GOAL_LOW, SUCCESS_DISTANCE
@@ -110,6 +111,14 @@ class PickGoal(Task):
             "lift": lift,
             "carry": lift * near(m["gap"], 0.2),
             "at_goal": m["grasp_quality"] * tolerance(m["gap"], 0.0, 0.01, margin=0.05),
+        }
+
+    def visible_measures(self, m: Measures) -> dict[str, Array]:
+        """The hand's and the cube's (see `object_measures`); goal_distance [N] m."""
+        return {
+            **super().visible_measures(m),
+            **object_measures(m, "cube"),
+            "goal_distance": m["gap"],
         }
 
     def success(self, m: Measures) -> Array:

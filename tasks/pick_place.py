@@ -27,6 +27,7 @@ from manip.tasks.arm import (
     start_qpos,
 )
 from manip.tasks.experts.pick_place_expert import pick_and_place
+from manip.tasks.object_measures import object_measures
 from manip.tasks.pick_place_items import BIN, ITEMS, SPREAD
 from manip.tasks.pick_place_measures import WALL, measure_object
 from manip.tasks.placement import PARKED, poses_with_any_yaw, scatter
@@ -104,6 +105,17 @@ class PickPlace(Task):
     def reward_terms(self, m: Measures, reward: str) -> dict[str, Array]:
         """Terms of the shaped or the stock reward."""
         return rewards.TERMS[reward](m, self.success(m))
+
+    def visible_measures(self, m: Measures) -> dict[str, Array]:
+        """The hand's and the object's (see `object_measures`), then of its place.
+
+        place_distance [N] m from the object to its place, horizontal.
+        """
+        return {
+            **super().visible_measures(m),
+            **object_measures(m, "object"),
+            "place_distance": np.linalg.norm(m["to_place"], axis=1),
+        }
 
     def success(self, m: Measures) -> Array:
         """The object is in its quarter of the bin, and the tool away from it."""

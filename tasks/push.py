@@ -39,6 +39,7 @@ from manip.tasks.cube import (
     start_cube,
 )
 from manip.tasks.experts.cube_expert import take_cube
+from manip.tasks.object_measures import diagonal_speed, object_measures
 from manip.tasks.placement import scatter
 from manip.tasks.rotations import cos_sin, rotation_matrix, yaw_angle
 from manip.tasks.scenes.cube_scene import HALF, SPREAD
@@ -117,6 +118,19 @@ class Push(Task):
             "grasp": grasp_term(m),
             "slide": near(m["gap"], 0.2),
             "at_goal": low * tolerance(m["gap"], 0.0, 0.01, margin=0.05),
+        }
+
+    def visible_measures(self, m: Measures) -> dict[str, Array]:
+        """The hand's and the cube's (see `object_measures`), then of its path.
+
+        goal_distance [N] m from the cube, horizontal; diagonal_speed [N] m/s of the
+        cube, see the function of this name.
+        """
+        return {
+            **super().visible_measures(m),
+            **object_measures(m, "cube"),
+            "goal_distance": m["gap"],
+            "diagonal_speed": diagonal_speed(m["cube_linvel"]),
         }
 
     def success(self, m: Measures) -> Array:

@@ -73,6 +73,10 @@ class Reach(Task):
             "at_goal": tolerance(m["distance"], 0.0, 0.01, margin=0.08),
         }
 
+    def visible_measures(self, m: Measures) -> dict[str, Array]:
+        """The hand's; goal_distance [N] m from the tool."""
+        return {**super().visible_measures(m), "goal_distance": m["distance"]}
+
     def success(self, m: Measures) -> Array:
         """The tool is within 2 cm of the goal."""
         return m["distance"] < SUCCESS_DISTANCE

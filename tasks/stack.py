@@ -27,6 +27,7 @@ from manip.tasks.arm import (
     start_qpos,
 )
 from manip.tasks.experts.stack_expert import stack_cubes
+from manip.tasks.object_measures import object_measures
 from manip.tasks.placement import poses_with_any_yaw, scatter
 from manip.tasks.rotations import cos_sin, rotation_matrix, yaw_angle
 from manip.tasks.stack_rewards import HALF, STACKED, SUCCESS_HEIGHT
@@ -121,6 +122,14 @@ class Stack(Task):
     def reward_terms(self, m: Measures, reward: str) -> dict[str, Array]:
         """Terms of the shaped or the stock reward."""
         return rewards.TERMS[reward](m, self.success(m))
+
+    def visible_measures(self, m: Measures) -> dict[str, Array]:
+        """The hand's and those of A (see `object_measures`); aside [N] m from B."""
+        return {
+            **super().visible_measures(m),
+            **object_measures(m, "a"),
+            "aside": m["aside"],
+        }
 
     def success(self, m: Measures) -> Array:
         """A is on or against B, off the table, and not between the finger pads."""

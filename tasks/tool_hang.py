@@ -21,6 +21,7 @@ from manip.sim.sensors import Sensors
 from manip.tasks import tool_hang_rewards as rewards
 from manip.tasks.arm import ARM_PARTS, observe_arm, start_qpos
 from manip.tasks.experts.tool_hang_expert import hang_tool
+from manip.tasks.object_measures import tilt
 from manip.tasks.rotations import yaw_quaternion
 from manip.tasks.tool_hang_measures import FINGERS, measure_parts, tip_depth
 
@@ -108,6 +109,21 @@ class ToolHang(Task):
         """Terms of the shaped or the stock reward."""
         return rewards.TERMS[reward](m, self.success(m))
 
+    def visible_measures(self, m: Measures) -> dict[str, Array]:
+        """The hand's, then those of frame and wrench (named tool).
+
+        grip_distance and tool_distance [N] m from the gripper to them; frame_speed and
+        tool_speed [N] m/s; frame_tilt and tool_tilt [N] rad, see `tilt`; assembled,
+        threaded [N], 0 or 1.
+        """
+        return {
+            **super().visible_measures(m),
+            **{name: m[name] for name in ("grip_distance", "tool_distance")},
+            **{f"{b}_speed": _speed(m[f"{b}_linvel"]) for b in ("frame", "tool")},
+            **{f"{b}_tilt": tilt(m[f"{b}_mat"]) for b in ("frame", "tool")},
+            **{name: 1.0 * m[name] for name in ("assembled", "threaded")},
+        }
+
     def success(self, m: Measures) -> Array:
         """The frame stands, and the wrench hangs on it, not grasped."""
         return m["assembled"] & m["hung"]
@@ -144,3 +160,8 @@ def _lying_quaternion(yaw: Array) -> Array:
     angle = np.pi / 4 + yaw / 2
     sin, cos = np.sin(angle), np.cos(angle)
     return np.stack([sin, -sin, -cos, cos], axis=1) / np.sqrt(2)
+
+
+def _speed(velocity: Array) -> Array:
+    """[n] m/s: length of velocities [n, 3] m/s."""
+    return np.linalg.norm(velocity, axis=1)

@@ -134,6 +134,12 @@ class Wipe(Task):
         """Terms of the shaped or the stock reward."""
         return rewards.TERMS[reward](m, self.success(m))
 
+    def visible_measures(self, m: Measures) -> dict[str, Array]:
+        """The hand's; dirt_distance [N] m to the nearest marker; wiped [N], a share."""
+        measures = super().visible_measures(m)
+        del measures["closing"]  # the wiper has no fingers
+        return {**measures, "dirt_distance": m["distance"], "wiped": m["share"]}
+
     def success(self, m: Measures) -> Array:
         """All markers are wiped."""
         return m["share"] == 1

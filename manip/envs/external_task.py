@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from manip.envs.hand_motion import motion_measures
 from manip.envs.task import Measures, Start, Task
 from manip.errors import UserError, check_choice, shown, unknown
 from manip.sim.sensors import Sensors
@@ -81,6 +82,10 @@ class ExternalTask(Task):
         """Success alone."""
         return {"success": m["success"]}
 
+    def visible_measures(self, m: Measures) -> dict[str, Array]:
+        """hand_speed [N] m/s and hand_acceleration [N] m/s^2, of the first arm."""
+        return motion_measures(m) if self.hand_reading in m else {}
+
     def failure(self, m: Measures) -> Array:
         """Where the library ends an episode before its time limit."""
         return m["terminated"]
@@ -91,6 +96,7 @@ class DmControlTask(ExternalTask):
 
     library = "dm_control"
     horizon = 250
+    hand_reading = "jaco_arm/jaco_hand/pinch_site_pos"
     proprioception = tuple(
         f"jaco_arm/{name}"
         for name in (
@@ -108,6 +114,7 @@ class RobosuiteTask(ExternalTask):
 
     library = "robosuite"
     horizon = 500
+    hand_reading = "robot0_eef_pos"
     proprioception = tuple(
         f"robot{arm}_{name}"
         for arm in (0, 1)

@@ -11,6 +11,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from manip.envs.episode_streams import EpisodeStreams
+from manip.envs.hand_motion import motion_measures
 from manip.errors import UserError
 from manip.sim.scene import Scene
 from manip.sim.sensors import Sensors
@@ -45,6 +46,7 @@ class Task(ABC):
         milestone_names: the milestones towards success, in order.
         proprioception: parts of the observation that a real arm measures by itself;
             all others describe objects.
+        hand_reading: the reading [N, 3] m that is the position of the hand.
     """
 
     robosuite_name: ClassVar[str]
@@ -56,6 +58,7 @@ class Task(ABC):
         *("joint_pos", "joint_vel"),
         *("gripper_qpos", "gripper_closing", "eef_pos"),
     )
+    hand_reading: ClassVar[str] = "eef_pos"
 
     @abstractmethod
     def sample_start(self, scene: Scene, streams: EpisodeStreams) -> Start:
@@ -88,6 +91,22 @@ class Task(ABC):
         They must not change the observation (default: nothing is stored).
         """
         return {}
+
+    def visible_measures(self, m: Measures) -> dict[str, Array]:
+        """Ordered, named numbers [N] that a person can see in a film of the task.
+
+        Preferences are about them (see docs/own-task.md). Besides the
+        measures, `m` holds hand_linvel [N, 3] m/s and hand_linacc [N, 3] m/s^2 of the
+        last control step. Default: hand_tilt [rad], the angle between the tool's axis
+        and straight down; hand_speed [m/s]; hand_acceleration [m/s^2]; closing in
+        [0, 1], how far the gripper is commanded to close.
+        """
+        axis = m["eef_mat"][:, [2, 5, 8]]
+        return {
+            "hand_tilt": np.arctan2(np.linalg.norm(axis[:, :2], axis=1), -axis[:, 2]),
+            **motion_measures(m),
+            "closing": (1 + m["gripper_closing"]) / 2,
+        }
 
     def failure(self, m: Measures) -> Array:
         """[N] bool: the episode ends here, without a future (default: never)."""

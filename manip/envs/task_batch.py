@@ -4,16 +4,15 @@ Plain numpy; TorchRL, Gymnasium and dm_env environments are adapters of it.
 """
 
 from abc import ABC, abstractmethod
-from collections import deque
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from manip.envs.episode_options import EpisodeOptions
 from manip.envs.episode_streams import check_purpose, check_seed
-from manip.envs.faults import Fault, non_finite
+from manip.envs.fault_recorder import FaultRecorder
+from manip.envs.faults import non_finite
 from manip.envs.measure_cache import MeasureCache
 from manip.envs.option_checks import state_array
 from manip.envs.reward_range import RewardRange
@@ -22,6 +21,7 @@ from manip.envs.task_check import check_memory, check_task
 from manip.envs.task_errors import blamed, exits_blamed
 from manip.envs.task_outputs import OutputForm, TaskOutputs, evaluate
 from manip.envs.time_step import TimeStep
+from manip.envs.visible_measures import VisibleMeasures
 from manip.errors import UserError, at_least, check_choice
 from manip.observation import vector_spec
 from manip.rewards.compose import override_weights, weighted_sum
@@ -31,7 +31,7 @@ from manip.sim.env_ids import checked_env_ids
 Array = np.ndarray
 
 
-class TaskBatch(ABC):
+class TaskBatch(FaultRecorder, ABC):
     """Base class of the backends, which move the environments.
 
     Args:
@@ -39,6 +39,7 @@ class TaskBatch(ABC):
         num_envs: N.
         action_dim: A.
         options: see `manip.envs.episode_options.EpisodeOptions`.
+        control_freq: control steps a second.
 
     Raises:
         UserError: a function of the task returns a wrong name, shape or dtype.
@@ -47,17 +48,11 @@ class TaskBatch(ABC):
         observation_spec: names, shapes and roles of the observation's parts.
         reward_weights: term -> weight, as paid.
         reward_names: names of the terms, in order.
+        measure_names: names of the visible measures, in order.
         elapsed: [N] control steps since each episode began.
         episode: [N] number of each environment's episode; -1 before the first.
-        faults: the latest faults; the reader removes those that it has reported.
-        fault_count: number of faults so far.
-        stop_at_faults: whether a fault raises UserError.
-        dump_folder: where the native backend writes steps with non-finite numbers, one
-            file each, for `manip replay`; None for nowhere.
+        faults, fault_count, stop_at_faults, dump_folder: see `FaultRecorder`.
     """
-
-    stop_at_faults = False
-    dump_folder: Path | None = None
 
     def __init__(
         self,
@@ -65,8 +60,10 @@ class TaskBatch(ABC):
         num_envs: int,
         action_dim: int,
         options: EpisodeOptions,
+        control_freq: int,
     ) -> None:
         at_least(1, "num_envs", num_envs)
+        super().__init__()
         self.task = task
         self.num_envs = num_envs
         self.action_dim = action_dim
@@ -77,8 +74,6 @@ class TaskBatch(ABC):
         self.episode = np.full(num_envs, -1, dtype=np.int64)
         self._begun = np.zeros(num_envs, bool)
         self.elapsed = np.zeros(num_envs, dtype=np.int64)
-        self.faults: deque[Fault] = deque(maxlen=1000)
-        self.fault_count = 0
         with blamed(task):
             check_choice("reward", reward, tuple(task.weights))
             check_task(task, self.read(), num_envs)
@@ -87,7 +82,11 @@ class TaskBatch(ABC):
             self.reward_weights = override_weights(task.weights[reward], overrides)
             self._cache = MeasureCache(task, num_envs, self.read, self._version)
             outputs = evaluate(task, self._cache.get(), reward)
+            self._visible = VisibleMeasures(
+                task, num_envs, self._cache.get, 1 / control_freq
+            )
         self.reward_names = tuple(self.reward_weights)
+        self.measure_names = self._visible.names
         self.observation_spec = vector_spec(outputs.parts, task.proprioception)
         self._form = OutputForm(task, outputs)
         self._range = RewardRange(task, reward == "shaped" and not overrides)
@@ -128,12 +127,20 @@ class TaskBatch(ABC):
         """Restore what `save_state` returned; `observe` then shows it."""
         raise UserError(f"{type(self).__name__} cannot restore a state")
 
+    def record(self) -> dict[str, Array]:
+        """Rows [N, ...] from which each environment's present state can be restored.
+
+        They are part of what `save_state` returns, under the same names.
+        """
+        raise UserError(f"{type(self).__name__} cannot record its states")
+
     def _clocks(self) -> dict[str, Any]:
         """The part of the state that all backends share."""
         return {
             "elapsed": self.elapsed.copy(),
             "episode": self.episode.copy(),
             "fault_count": self.fault_count,
+            "motion": self._visible.save_state(),
         }
 
     def _restore_clocks(self, state: dict[str, Any]) -> None:
@@ -144,6 +151,7 @@ class TaskBatch(ABC):
             if (values < least).any():
                 raise UserError(f"{name} of the saved state is below {least}")
             getattr(self, name)[:] = values
+        self._visible.load_state(state)
         self.fault_count = int(count)
         self._begun = self.episode >= 0
 
@@ -172,6 +180,7 @@ class TaskBatch(ABC):
                 with self._cache.restarting(env_ids):
                     self._start_episodes(env_ids)
                 self._update_memory(env_ids)
+                self._visible.begin(env_ids)
 
     def step(self, action: Array) -> TimeStep:
         """Advance all environments by one control step.
@@ -192,9 +201,12 @@ class TaskBatch(ABC):
         self.elapsed += 1
         if diverged.any():
             no_number = diverged & np.isnan(action).any(axis=1)
-            self._record([("action", no_number), ("physics", diverged & ~no_number)])
+            self._record_faults(
+                [("action", no_number), ("physics", diverged & ~no_number)]
+            )
         with blamed(self.task):
             time_step = self._time_step((self.elapsed >= self.horizon) | diverged)
+            self._visible.step()
             self._update_memory(np.flatnonzero(~diverged))
         return time_step
 
@@ -210,6 +222,11 @@ class TaskBatch(ABC):
         if self._non_finite.all():
             raise UserError(f"{self.faults[-1]}, and so are all other environments")
         return time_step._replace(terminated=never, truncated=never)
+
+    def measures(self) -> Array:
+        """[N, M] float32: the present visible measures, named as `measure_names`."""
+        with blamed(self.task):
+            return self._visible.get()
 
     def expert(self) -> Array:
         """[N, A]: the action of the task's expert in the present state.
@@ -258,26 +275,7 @@ class TaskBatch(ABC):
         return time_step
 
     def _record_outputs(self, outputs: TaskOutputs) -> None:
-        self._record(
+        self._record_faults(
             non_finite("observation", outputs.parts, self.num_envs)
             + non_finite("reward term", outputs.terms, self.num_envs)
         )
-
-    def _record(self, kinds: Sequence[tuple[str, Array]]) -> None:
-        """Record a fault for each environment [N] bool in which a kind is wrong."""
-        wrong = np.any([where for _, where in kinds], axis=0)
-        for env_id in map(int, np.flatnonzero(wrong)):
-            what = ", ".join(name for name, where in kinds if where[env_id])
-            clock = int(self.episode[env_id]), int(self.elapsed[env_id])
-            self._add_fault(Fault(self.task.name, what, env_id, *clock))
-
-    def _add_fault(self, fault: Fault) -> None:
-        self.faults.append(fault)
-        self.fault_count += 1
-        hint = self._dump(fault)
-        if self.stop_at_faults:
-            raise UserError(f"{fault}{hint}")
-
-    def _dump(self, fault: Fault) -> str:
-        """Store the step of a fault if possible; a hint how to replay it."""
-        return ""

@@ -135,6 +135,24 @@ def check_memory(task: Task, memory: Mapping[str, Any], num_envs: int) -> None:
         _check_numbers(f"{where} {name!r}", values, (num_envs, sizes[name]))
 
 
+def check_visible_measures(task: Task, m: Measures, num_envs: int) -> tuple[str, ...]:
+    """Call `visible_measures`; return the names in order.
+
+    Raises:
+        UserError: a value is not numbers [N], or a name is not a plain one.
+    """
+    where = "visible_measures()"
+    named = _call_named(task, where, m, task.visible_measures)
+    for name, values in named.items():
+        if not str(name).isidentifier():
+            raise UserError(
+                f"{_of(task)} {where} name {name!r} must consist of letters, digits "
+                "and _"
+            )
+        _check_numbers(f"{_of(task)} {where} {name!r}", values, (num_envs,))
+    return tuple(named)
+
+
 def _check_names(
     where: str, given: Mapping[str, Any], kind: str, expected: Iterable[str]
 ) -> None:

@@ -11,7 +11,9 @@ Keys, with N environments:
     success        [N, 1] bool
     reward_terms   [N, K] float32, named as `batch.reward_names`
     milestones     [N, M] bool, named as `batch.task.milestone_names`
+    measures       [N, V] float32, named as `batch.measure_names`, if requested
     expert_action  [N, A] float32, the action of the task's expert, if requested
+    states, ...    what `batch.record` returns, if requested
 """
 
 from collections.abc import Iterable
@@ -35,14 +37,25 @@ class TaskEnv(EnvBase):
     Args:
         batch: the environments.
         expert: whether each step gives the action of the task's expert, too.
+        measures: whether it gives the task's visible measures, too.
+        states: whether it gives what `batch.record` returns, too.
+
+    Raises:
+        UserError: the task has no expert, or the batch cannot record its states.
     """
 
     batch_locked = True
 
-    def __init__(self, batch: TaskBatch, expert: bool = False) -> None:
+    def __init__(
+        self,
+        batch: TaskBatch,
+        expert: bool = False,
+        measures: bool = False,
+        states: bool = False,
+    ) -> None:
         super().__init__(batch_size=[batch.num_envs], device=None)
         self.batch = batch
-        self._expert = expert
+        self._expert, self._measures, self._states = expert, measures, states
         shape = self.batch_size
         dim = batch.observation_spec.dim
         milestones, terms = len(batch.task.milestone_names), len(batch.reward_names)
@@ -56,6 +69,12 @@ class TaskEnv(EnvBase):
             reward_terms=Unbounded((*shape, terms)),
             shape=shape,
         )
+        if measures:
+            visible = Unbounded((*shape, len(batch.measure_names)))
+            self.observation_spec["measures"] = visible
+        for name, rows in (batch.record() if states else {}).items():
+            kind = torch.from_numpy(rows).dtype
+            self.observation_spec[name] = Unbounded(rows.shape, dtype=kind)
         if expert:
             self.observation_spec["expert_action"] = self.action_spec.clone()
         ends = ("done", "terminated", "truncated")
@@ -98,6 +117,11 @@ class TaskEnv(EnvBase):
             "truncated": torch.from_numpy(time_step.truncated[:, None]),
             "done": torch.from_numpy(time_step.done[:, None]),
         }
+        if self._measures:
+            tensors["measures"] = torch.from_numpy(self.batch.measures())
+        if self._states:
+            recorded = self.batch.record().items()
+            tensors |= {name: torch.from_numpy(rows) for name, rows in recorded}
         if self._expert:
             expert = self.batch.expert().astype(np.float32)
             tensors["expert_action"] = torch.from_numpy(expert)

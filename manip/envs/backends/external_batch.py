@@ -81,7 +81,7 @@ class ExternalBatch(NotCopied, TaskBatch):
         self._actions: list[list[Array]] = [[] for _ in range(num_envs)]
         self._stagger = stagger
         self._changes = 0
-        super().__init__(task, num_envs, action_dim, episodes)
+        super().__init__(task, num_envs, action_dim, episodes, robot.control_freq)
 
     def read(self) -> Measures:
         """The parts of the observation [N, k]; reward, success and terminated [N]."""

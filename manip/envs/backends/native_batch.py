@@ -93,7 +93,8 @@ class NativeBatch(DeepCopied, TaskBatch):
             RestartBuffer(milestones, self.engine.save()) if restart_fraction else None
         )
         self._robot, self._fidelity = robot, fidelity
-        super().__init__(task, num_envs, self.scene.layout.action_dim, episodes)
+        action_dim = self.scene.layout.action_dim
+        super().__init__(task, num_envs, action_dim, episodes, robot.control_freq)
         with blamed(task):
             check_start(task, self.scene)
 
@@ -166,6 +167,14 @@ class NativeBatch(DeepCopied, TaskBatch):
             "action": np.asarray(self._action[fault.env_id], float),
         }
         save_tree(path, {"format": DUMP_FORMAT, **step})
+
+    def record(self) -> dict[str, Array]:
+        """As `TaskBatch.record`: states [N, S], readings [N, R], motion [N, 3, 3],
+        elapsed and episode [N].
+        """
+        snapshot, clocks = self.engine.save(), self._clocks()
+        del clocks["fault_count"]
+        return {"states": snapshot.states, "readings": snapshot.readings, **clocks}
 
     def save_state(self) -> dict[str, Any]:
         """Engine states, clocks, episode numbers and the restart buffer."""

@@ -57,7 +57,7 @@ class StockBatch(NotCopied, TaskBatch):
         self._memory = _blank(task)
         self._exclusive = ExclusiveUse("the robosuite environment")
         action_dim = self.stock.action_dim
-        super().__init__(task, 1, action_dim, episodes)
+        super().__init__(task, 1, action_dim, episodes, robot.control_freq)
 
     def read(self) -> Measures:
         """As `manip.sim.stock_reader.stock_reader`."""
