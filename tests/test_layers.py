@@ -18,6 +18,7 @@ TOWER = (
     {"sim"},
     {"envs"},
     {"agents", "evaluation", "tasks"},
+    {"preferences"},
     {"training"},
     {"benchmarks", "studies"},
     {"programs"},

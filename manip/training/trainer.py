@@ -34,7 +34,10 @@ class Trainer:
         parts: environments, agent, collector, evaluator, guards.
         state: counters and results so far.
         stop: the event.
+        waiting: what the run waits for, in a line; empty unless it ended because of it.
     """
+
+    waiting = ""
 
     def __init__(
         self,
@@ -90,7 +93,7 @@ class Trainer:
         self._clock = self._began - self.state.seconds
 
     def _train(self) -> None:
-        while not (self._complete or self.stopping):
+        while not (self._complete or self.stopping or self._waits()):
             due = self._next_evaluation()
             used = time.process_time()
             self._advance()
@@ -103,11 +106,17 @@ class Trainer:
                 self._save()
         self._end()
 
+    def _waits(self) -> bool:
+        """Whether the agent waits for something that the run cannot go on without."""
+        self.waiting = self.parts.agent.waiting()
+        return bool(self.waiting)
+
     def _end(self) -> None:
         if not self._complete:
             self._save()
             steps = f"{self.state.env_steps:,}"
-            self._report(f"stopped at step {steps}{self._how_to_resume()}")
+            reason = f": {self.waiting}" if self.waiting else ""
+            self._report(f"stopped at step {steps}{reason}{self._how_to_resume()}")
         self._report(self._save_timer.describe(self.checkpoints.latest))
 
     def _advance(self) -> None:
