@@ -40,7 +40,7 @@ class Worker(RolloutPolicy):
     """Act with a copy of the shared networks, which also computes the gradient."""
 
     def __init__(self, copy: A2C) -> None:
-        super().__init__(copy.actor)
+        super().__init__(copy.gaussian)
         self.copy = copy
 
 
@@ -79,5 +79,5 @@ class A3C(A2C):
         """Step the shared parameters down a worker's gradient."""
         self.gradient.copy_(batch["gradient"])
         self._step()
-        self._update_norm(batch["observation"])
+        self._finish(batch["observation"])
         return {name: value.item() for name, value in batch["logged"].items()}

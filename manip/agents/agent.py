@@ -1,13 +1,14 @@
 """The contract between an algorithm and the training loop."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torch import nn
+from torch import Tensor, nn
 
 from manip.agents.actor_inputs import ActorInputs
 from manip.agents.compared_clips import ComparedClips
@@ -110,6 +111,16 @@ class Agent(ABC):
         Runs on the thread that collected the rollout, while other threads may learn.
         """
         return batch
+
+    def start_from(self, weights: Mapping[str, Tensor], deviation: float) -> None:
+        """Start the actor from the weights of a trained one, before anything else.
+
+        Args:
+            weights: a state_dict of `actor`.
+            deviation: standard deviation of the actions to begin with, as a fraction
+                of each dimension's range; for algorithms whose actor has one.
+        """
+        self.actor.load_state_dict(weights)
 
     @abstractmethod
     def update(self, batch: TensorDictBase) -> dict[str, float]:

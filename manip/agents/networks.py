@@ -3,7 +3,9 @@
 Shapes: observation [..., D], action [..., A]; the leading dimensions are arbitrary.
 """
 
+import math
 from collections.abc import Sequence
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -168,6 +170,23 @@ class Actor(nn.Module):
         """Return the deterministic action [..., A] in [-1, 1]."""
         loc, _ = self(observation)
         return self.squashed(loc) if self.squash else loc.clamp(-1.0, 1.0)
+
+    @torch.no_grad()
+    def set_deviation(self, deviation: float) -> None:
+        """Set the standard deviation, for every state.
+
+        Args:
+            deviation: before tanh if `squash`, as a fraction of the range that is used.
+        """
+        log_std = math.log(deviation)
+        if not self.squash:
+            self.log_std.fill_(log_std)
+            return
+        span = MAX_LOG_STD - MIN_LOG_STD
+        last = cast(nn.Linear, self.body[-1])
+        first = len(self.action_scale)
+        last.weight[first:] = 0.0
+        last.bias[first:] = math.atanh(2 * (log_std - MIN_LOG_STD) / span - 1)
 
     def squashed(self, raw: Tensor) -> Tensor:
         """Map a Gaussian sample [..., A] to an action: action_scale tanh(raw)."""

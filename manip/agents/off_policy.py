@@ -85,6 +85,10 @@ class OffPolicy(Agent):
         """Whether actions are still uniform and nothing is learned."""
         return self._steps < self._options.random_steps
 
+    def _critic_alone(self, critic_steps: int) -> bool:
+        """Whether the actor is not learned yet, `critic_steps` after the warm-up."""
+        return self._steps < self._options.random_steps + critic_steps
+
     @property
     def _refilling(self) -> bool:
         """Whether the buffer is filled again, after a checkpoint without one."""

@@ -1,7 +1,8 @@
 """Base of the algorithms that learn from the latest rollout of their own policy."""
 
+import math
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
@@ -14,6 +15,7 @@ from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
 from torchrl.objectives import LossModule
 
 from manip.agents.agent import Agent, AgentConfig, Spaces
+from manip.agents.bounded_gaussian import BoundedGaussian
 from manip.agents.flat_parameters import flatten, zero_gradient
 from manip.agents.networks import (
     Actor,
@@ -23,7 +25,7 @@ from manip.agents.networks import (
     seeded_generator,
 )
 from manip.agents.value_targets import add_values
-from manip.io.option_ranges import COUNT, NUMBER, POSITIVE, SHARE, Range
+from manip.io.option_ranges import COUNT, NUMBER, POSITIVE, SHARE, WHOLE, Range
 
 Samples = TypeVar("Samples", Tensor, TensorDictBase)
 
@@ -50,6 +52,11 @@ class OnPolicyConfig(AgentConfig):
     """Normalise observations by running statistics, saved with the policy."""
     action_scale: Annotated[tuple[float, ...], Range(1e-6, 1)] = ()
     """Fraction of each action dimension's range that is used; 1 unless given."""
+    squash: bool = False
+    """Bound the mean of the actions by tanh, behind ReLU layers: the form of actors
+    that SAC, TD3 and BC train. Needed to start from one; without compiled gradients."""
+    critic_rollouts: Annotated[int, WHOLE] = 0
+    """First rollouts from which only the critic learns (critic warm-up)."""
 
 
 class RolloutPolicy(TensorDictModuleBase):
@@ -58,7 +65,7 @@ class RolloutPolicy(TensorDictModuleBase):
     in_keys = ["observation"]
     out_keys = ["action", "action_log_prob"]
 
-    def __init__(self, actor: Actor) -> None:
+    def __init__(self, actor: Actor | BoundedGaussian) -> None:
         super().__init__()
         self._actor, self._generator = deepcopy(actor), seeded_generator()
 
@@ -77,44 +84,69 @@ class OnPolicy(Agent):
 
     A Gaussian actor, a critic, and one Adam for one flat parameter that holds those of
     the actor's network, its log standard deviations, and the critic's, in this order.
+
+    Attributes:
+        gaussian: distribution of the actions: the actor, or around a bounded actor.
     """
 
     actor: Actor
 
     def __init__(self, config: OnPolicyConfig, spaces: Spaces) -> None:
         self.rollout_length = config.rollout_length
+        self._critic_rollouts, self._rollouts = config.critic_rollouts, 0
         self.actor = Actor(
             spaces.observation_dim,
             spaces.action_dim,
             config.actor_hidden,
-            squash=False,
+            squash=config.squash,
             normalise=config.normalise,
             action_scale=config.action_scale,
         )
+        self.gaussian = BoundedGaussian(self.actor) if config.squash else self.actor
         self.critic = _critic(config, spaces, self.actor.norm)
         self.stochastic = ProbabilisticActor(
-            TensorDictModule(self.actor, ["observation"], ["loc", "scale"]),
+            TensorDictModule(self.gaussian, ["observation"], ["loc", "scale"]),
             in_keys=["loc", "scale"],
             distribution_class=IndependentNormal,
             return_log_prob=True,
         )
         self._loss = self._make_loss()
         self._max_gradient = config.max_gradient
-        body = self.actor.body.parameters()
-        self._params = flatten([*body, self.actor.log_std, *self.critic.parameters()])
+        actor = [*self.actor.body.parameters(), self.gaussian.log_std]
+        self._actor_size = sum(param.numel() for param in actor)
+        self._params = flatten([*actor, *self.critic.parameters()])
         self._optim = torch.optim.Adam(
             [self._params], config.learning_rate, eps=1e-5, fused=True
         )
 
     def policy(self) -> TensorDictModuleBase:
         """Return samples of the actor, with log-probabilities."""
-        return RolloutPolicy(self.actor)
+        return RolloutPolicy(self.gaussian)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Add the critic's values to the rollout [N, T] and learn from it."""
         logged = self._learn(add_values(batch, self.critic))
-        self._update_norm(batch["observation"])
+        self._finish(batch["observation"])
         return logged
+
+    def start_from(self, weights: Mapping[str, Tensor], deviation: float) -> None:
+        """See `Agent.start_from`."""
+        super().start_from(weights, deviation)
+        self.gaussian.log_std.data.fill_(math.log(deviation))
+
+    def extra_state(self, buffer: bool = True) -> dict[str, Any]:
+        """Return the number of rollouts, if the critic learns alone at first."""
+        return {"rollouts": self._rollouts} if self._critic_rollouts else {}
+
+    def load_extra_state(self, state: dict[str, Any]) -> None:
+        """Restore what `extra_state` returned.
+
+        Raises:
+            ValueError: the number of rollouts is negative.
+        """
+        self._rollouts = int(state.get("rollouts", 0))
+        if self._rollouts < 0:
+            raise ValueError("the checkpoint's number of rollouts is negative")
 
     def modules(self) -> dict[str, nn.Module]:
         """Return the loss, which holds actor and critic."""
@@ -141,8 +173,18 @@ class OnPolicy(Agent):
     @torch.no_grad()
     def _add_distribution(self, samples: TensorDictBase) -> TensorDictBase:
         """Write the present policy's `loc` and `scale`, for a KL divergence later."""
-        loc, scale = self.actor(samples["observation"])
+        loc, scale = self.gaussian(samples["observation"])
         return samples.set("loc", loc).set("scale", scale)
+
+    @property
+    def _critic_alone(self) -> bool:
+        """Whether only the critic learns from the present rollout."""
+        return self._rollouts < self._critic_rollouts
+
+    def _finish(self, observation: Tensor) -> None:
+        """End the update from a rollout with these observations [N, T, D]."""
+        self._rollouts += 1
+        self._update_norm(observation)
 
     def _update_norm(self, observation: Tensor) -> None:
         """Add observations [N, T, D] to the running statistics, if there are any."""
@@ -161,6 +203,8 @@ class OnPolicy(Agent):
 
     def _step(self) -> None:
         """Step down the present `gradient`, scaled down to the largest norm."""
+        if self._critic_alone:
+            self.gradient[: self._actor_size].zero_()
         nn.utils.clip_grad_norm_([self._params], self._max_gradient)
         self._optim.step()
 

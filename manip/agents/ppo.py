@@ -71,7 +71,7 @@ class PPO(OnPolicy):
         super().__init__(config, spaces)
         self._gae = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None)
         self._gradients = gradients_of(
-            self._loss, self.actor, self.critic, self._params, threads, gradients
+            self._loss, self.gaussian, self.critic, self._params, threads, gradients
         )
 
     def _make_loss(self) -> PPOLoss:

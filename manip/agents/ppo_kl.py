@@ -64,7 +64,8 @@ class PPOKL(OnPolicy):
         self._gae = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None)
         self._reference = None
         if config.reference is not None:
-            self._reference = _reference(config.reference, self.actor)
+            _load_reference(config.reference, self.actor)
+            self._reference = deepcopy(self.gaussian)
 
     def modules(self) -> dict[str, nn.Module]:
         """Return the loss and the reference, so that a resumed run has the same one."""
@@ -119,8 +120,8 @@ class PPOKL(OnPolicy):
         return {"kl": kl, "beta": self._loss.beta.item()}
 
 
-def _reference(folder: str, actor: Actor) -> Actor:
-    """Load a trained policy's weights into `actor`; return a copy of it.
+def _load_reference(folder: str, actor: Actor) -> None:
+    """Load a trained policy's weights into `actor`.
 
     Raises:
         UserError: the policy has other networks.
@@ -133,4 +134,3 @@ def _reference(folder: str, actor: Actor) -> Actor:
             f"the policy in {folder} has other networks than this run: it must come "
             "from an algorithm with PPO's kind of actor, of equal task and actor_hidden"
         ) from error
-    return deepcopy(actor)

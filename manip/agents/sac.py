@@ -15,6 +15,7 @@ The deployed actor is the exponential average of the learned one (Polyak and Jud
 1992), as the success rates of consecutive actors differ by 10 % and more.
 """
 
+from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import Annotated
@@ -33,7 +34,7 @@ from manip.agents.native.gradient_check import GradientSource
 from manip.agents.native.sac_gradients import flatten_loss, sac_gradients
 from manip.agents.networks import Actor
 from manip.agents.off_policy import OffPolicy, OffPolicyConfig, make_critics
-from manip.io.option_ranges import COUNT, POSITIVE, SHARE, SIGNED
+from manip.io.option_ranges import COUNT, POSITIVE, SHARE, SIGNED, WHOLE
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,9 @@ class SACConfig(OffPolicyConfig):
     """Widths of the actor's hidden layers."""
     actor_delay: Annotated[int, COUNT] = 2
     """Critic updates for each update of the actor and the temperature."""
+    critic_steps: Annotated[int, WHOLE] = 0
+    """Control steps, after the random ones, in which only the critics learn (critic
+    warm-up): an actor that starts from a policy keeps it until they are of use."""
     actor_average: Annotated[float, SHARE] = 0.005
     """Fraction by which the deployed actor moves to the learned one at its updates."""
     critics: Annotated[int, COUNT] = 2
@@ -107,6 +111,12 @@ class SAC(OffPolicy):
         bursts = self.config.gripper_bursts
         return RolloutPolicy(self.explorer, _sample, self.warming_up, bursts)
 
+    def start_from(self, weights: Mapping[str, Tensor], deviation: float) -> None:
+        """See `Agent.start_from`."""
+        for actor in (self.explorer, self.actor):
+            actor.load_state_dict(weights)
+            actor.set_deviation(deviation)
+
     def modules(self) -> dict[str, nn.Module]:
         """Return the deployed actor, and the loss, which holds all else."""
         return {"actor": self.actor, "loss": self._loss}
@@ -119,7 +129,8 @@ class SAC(OffPolicy):
         loss = self._gradients.critic(rows)
         self._critic_optim.step()
         self._params.targets.data.lerp_(self._params.critics.data, self.config.tau)
-        if self._updates % self.config.actor_delay:
+        alone = self._critic_alone(self.config.critic_steps)
+        if alone or self._updates % self.config.actor_delay:
             return {}
         return {"loss_critic": loss, **self._improve(rows)}
 

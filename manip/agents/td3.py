@@ -13,6 +13,7 @@ bias, not corrected). With one critic, no delay and no target noise this is DDPG
 (Lillicrap et al. 2015, arXiv 1509.02971).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated
@@ -33,7 +34,7 @@ from manip.agents.off_policy import (
     make_critics,
     transitions_of,
 )
-from manip.io.option_ranges import COUNT, NUMBER
+from manip.io.option_ranges import COUNT, NUMBER, WHOLE
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,9 @@ class TD3Config(OffPolicyConfig):
     """Widths of the actor's hidden layers."""
     actor_delay: Annotated[int, COUNT] = 2
     """Critic updates for each update of the actor and of the targets."""
+    critic_steps: Annotated[int, WHOLE] = 0
+    """Control steps, after the random ones, in which only the critics learn (critic
+    warm-up): an actor that starts from a policy keeps it until they are of use."""
     critics: Annotated[int, COUNT] = 2
     """Number of critics; targets use the lowest value."""
     exploration_noise: Annotated[float, NUMBER] = 0.2
@@ -88,6 +92,12 @@ class TD3(OffPolicy):
         bursts = self.config.gripper_bursts
         return RolloutPolicy(self.actor, explore, self.warming_up, bursts)
 
+    def start_from(self, weights: Mapping[str, Tensor], deviation: float) -> None:
+        """See `Agent.start_from`; the target actor starts from them as well."""
+        super().start_from(weights, deviation)
+        learned = self._loss.actor_network_params.data
+        self._loss.target_actor_network_params.data.update_(learned)
+
     def modules(self) -> dict[str, nn.Module]:
         """Return the loss, which holds actor, critics and targets."""
         return {"loss": self._loss}
@@ -103,6 +113,9 @@ class TD3(OffPolicy):
         descend(self._critic_optim, loss)
         if self._updates % self.config.actor_delay:
             return {}
+        if self._critic_alone(self.config.critic_steps):
+            self._targets.step()
+            return {"loss_critic": loss.item()}
         actor_loss, _ = self._loss.actor_loss(batch)
         descend(self._actor_optim, actor_loss)
         self._targets.step()

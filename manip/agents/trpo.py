@@ -86,7 +86,8 @@ class TRPO(OnPolicy):
     def _learn(self, batch: TensorDictBase) -> dict[str, float]:
         """Take a step of the actor and several epochs of the critic."""
         samples = self._add_distribution(self._gae(batch).reshape(-1))
-        return self._improve(samples) | {"loss_critic": self._fit(samples)}
+        logged = {} if self._critic_alone else self._improve(samples)
+        return logged | {"loss_critic": self._fit(samples)}
 
     def _improve(self, samples: TensorDictBase) -> dict[str, float]:
         loss, fisher = self._objective(samples), self._fisher(samples)
@@ -130,7 +131,7 @@ class TRPO(OnPolicy):
 
     def _gradient(self, value: Tensor, create: bool = False) -> Tensor:
         """Return the gradient [P] by the actor's parameters, in their order."""
-        params = [*self.actor.body.parameters(), self.actor.log_std]
+        params = [*self.actor.body.parameters(), self.gaussian.log_std]
         parts = torch.autograd.grad(
             value, params, retain_graph=True, create_graph=create
         )

@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-STEP_KEYS = ("observation", "action", "qpos")
+STEP_KEYS = ("observation", "action")
 """Keys of a step that a clip keeps for each of its steps."""
 
 AFTER_KEYS = ("measures", "reward_terms")
@@ -24,7 +24,7 @@ class ClipPool:
 
     Args:
         example: a rollout [N, T] of zeros with the keys, shapes and dtypes of those
-            that follow: STEP_KEYS without qpos, START_KEYS, ("next", AFTER_KEYS).
+            that follow: STEP_KEYS, START_KEYS, ("next", AFTER_KEYS or "states").
         length: L, steps of a clip.
         capacity: most clips that are kept.
         positions: nq, the first columns of `states` [.., S], which are the positions.
@@ -49,7 +49,8 @@ class ClipPool:
     def clips(self) -> TensorDictBase:
         """The clips [C], oldest first.
 
-        STEP_KEYS and AFTER_KEYS are [C, L, ...], START_KEYS [C, ...], `env` [C].
+        STEP_KEYS and AFTER_KEYS are [C, L, ...], `qpos` [C, L + 1, nq], START_KEYS
+        [C, ...], `env` [C].
         """
         first = self._added - len(self)
         rows = torch.arange(first, self._added) % self._capacity
@@ -69,9 +70,10 @@ class ClipPool:
 
     def _steps(self, rollout: TensorDictBase) -> TensorDict:
         """What clips need of the steps [N, T] of a rollout."""
-        keep = {key: rollout[key] for key in (*STEP_KEYS[:-1], *START_KEYS)}
+        keep = {key: rollout[key] for key in (*STEP_KEYS, *START_KEYS)}
         keep |= {key: rollout["next", key] for key in AFTER_KEYS}
         keep["qpos"] = rollout["states"][..., : self._positions]
+        keep["qpos_after"] = rollout["next", "states"][..., : self._positions]
         keep["done"] = rollout["next", "done"].squeeze(-1)
         count, length = rollout.shape
         keep["env"] = torch.arange(count)[:, None].expand(count, length)
@@ -114,7 +116,8 @@ def _as_clips(windows: TensorDictBase) -> TensorDict:
     """Clips [C] of windows [C, L] of steps."""
     many = {key: windows[key] for key in (*STEP_KEYS, *AFTER_KEYS)}
     first = {key: windows[key][:, 0] for key in (*START_KEYS, "env")}
-    return TensorDict({**many, **first}, windows.shape[:1])
+    qpos = torch.cat([windows["qpos"], windows["qpos_after"][:, -1:]], 1)
+    return TensorDict({**many, **first, "qpos": qpos}, windows.shape[:1])
 
 
 def _copy(own: Tensor, saved: Tensor, name: str) -> None:

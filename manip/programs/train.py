@@ -21,11 +21,19 @@ from manip.training.config import (
     recorded,
     scales_other_actions,
 )
+from manip.training.initial_policy import starting_from
 from manip.training.run import train
 from manip.training.terminal import TerminalProgress
 
+<<<<<<< HEAD
 _TEXT_OPTIONS = {"--task", "--algo", "--robot", "--out", "--wandb", "--agent.reference"}
 _TEXT_OPTIONS |= {"--preferences", "--labels.taste"}
+=======
+_TEXT_OPTIONS = {
+    *("--task", "--algo", "--robot", "--out", "--wandb", "--init"),
+    "--agent.reference",
+}
+>>>>>>> int
 """Options whose value is text and must not be rewritten as a number."""
 
 
@@ -43,6 +51,7 @@ class _Start:
     controller: str | None = None
     out: Path | None = None
     resume: bool = False
+    init: str | None = None
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -100,7 +109,8 @@ def _defaults(arguments: Sequence[str]) -> TrainConfig:
             f"manip: the recipe's action_scale is not used with {start.controller}",
             file=sys.stderr,
         )
-    return recipe(start.task, start.algo, start.robot, start.controller)
+    config = recipe(start.task, start.algo, start.robot, start.controller)
+    return config if start.init is None else starting_from(config, start.init)
 
 
 def _recorded(out: Path | None) -> TrainConfig:

@@ -93,6 +93,12 @@ class TrainConfig:
     `lift=0.6 reach=0.1`. A larger weight pays more for the term."""
     restart_fraction: Annotated[float, SHARE] = 0.0
     """Fraction of training episodes that start from a previously visited state."""
+    init: str | None = None
+    """Policy that the actor starts from (fine-tuning): a run folder, or the name of a
+    shipped policy. The critics are new."""
+    init_std: Annotated[float, Range(0.01, 1.0)] = 0.1
+    """Standard deviation of the actions of a policy from --init at the start [fraction
+    of the action's range]: larger explores more."""
     cool_down: Annotated[float, SHARE] = 0.0
     """Last fraction of --steps in which learning rates fall linearly to zero. A
     finished run that is resumed with more steps starts at the full rates again."""

@@ -12,6 +12,7 @@ from manip.training.collector import Collector
 from manip.training.config import TrainConfig
 from manip.training.evaluator import Evaluator
 from manip.training.fault_report import FaultReport
+from manip.training.initial_policy import start_agent
 from manip.training.memory import check_memory
 from manip.training.nan_guard import NanGuard
 
@@ -28,6 +29,7 @@ class RunParts:
         guard: checks the agent's gradients and losses.
         averages: recent training averages.
         faults: reports what went wrong in environments and updates.
+        notes: lines that the run prints when it starts.
     """
 
     envs: Sequence[TaskEnv]
@@ -37,6 +39,7 @@ class RunParts:
     guard: NanGuard
     averages: TrainingAverages
     faults: FaultReport
+    notes: tuple[str, ...] = ()
 
     @property
     def milestones(self) -> tuple[str, ...]:
@@ -54,6 +57,7 @@ def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
     evaluator = Evaluator(config)
     _check_memory(config, evaluator.env)
     agent = build_agent(config, evaluator.env)
+    notes = start_agent(config, agent, evaluator.env)
     guard = NanGuard(agent.optimisers(), config.faults == "stop")
     milestones = evaluator.env.batch.task.milestone_names
     batch = envs[0].batch
@@ -66,6 +70,7 @@ def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
         guard=guard,
         averages=TrainingAverages(milestones, weights),
         faults=FaultReport(envs, guard),
+        notes=notes,
     )
 
 

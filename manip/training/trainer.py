@@ -93,6 +93,10 @@ class Trainer:
         self._clock = self._began - self.state.seconds
 
     def _train(self) -> None:
+        if self.parts.notes:
+            self._report(*self.parts.notes)
+        if self.config.init is not None and not self.state.rows:
+            self._save(best=self._evaluate())  # the initial policy may stay the best
         while not (self._complete or self.stopping or self._waits()):
             due = self._next_evaluation()
             used = time.process_time()

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torchrl.modules import IndependentNormal
 from torchrl.objectives import PPOLoss
 
+from manip.agents.bounded_gaussian import BoundedGaussian
 from manip.agents.flat_parameters import zero_gradient
 from manip.agents.native.gradient_check import (
     GradientCheck,
@@ -63,7 +64,7 @@ def rows_of(samples: TensorDictBase) -> Tensor:
 
 
 @torch.no_grad()
-def kl_divergence(actor: Actor, rows: Tensor) -> float:
+def kl_divergence(actor: Actor | BoundedGaussian, rows: Tensor) -> float:
     """Estimate KL(pi_old || pi) [nat] from rows: mean of (rho - 1) - log rho.
 
     Schulman's k3 (joschu.net/blog/kl-approx.html): unbiased, and never negative.
@@ -74,22 +75,25 @@ def kl_divergence(actor: Actor, rows: Tensor) -> float:
     return (log_ratio.exp() - 1 - log_ratio).mean().item()
 
 
-def _widths(actor: Actor) -> tuple[int, int, int, int]:
+def _widths(actor: Actor | BoundedGaussian) -> tuple[int, int, int, int]:
     """Columns of state, action, log pi_old, and of advantage with value target."""
     return actor.observation_dim, len(actor.action_scale), 1, 2
 
 
 def gradients_of(
     loss: PPOLoss,
-    actor: Actor,
+    actor: Actor | BoundedGaussian,
     critic: nn.Module,
     params: nn.Parameter,
     threads: int,
     source: GradientSource,
 ) -> Gradients:
-    """Return checked native gradients, or TorchRL's if `source` is "torchrl"."""
+    """Return checked native gradients, or TorchRL's if `source` is "torchrl".
+
+    There are none in native code for a bounded mean.
+    """
     reference = AutogradGradients(loss, actor, params)
-    if source == "torchrl":
+    if source == "torchrl" or isinstance(actor, BoundedGaussian):
         return reference
     native = NativeGradients(loss, actor, critic, params, threads)
     return CheckedGradients(native, reference, actor, critic, native.clip)
@@ -98,7 +102,9 @@ def gradients_of(
 class AutogradGradients:
     """TorchRL's (Clip)PPOLoss and PyTorch's autograd."""
 
-    def __init__(self, loss: PPOLoss, actor: Actor, params: nn.Parameter) -> None:
+    def __init__(
+        self, loss: PPOLoss, actor: Actor | BoundedGaussian, params: nn.Parameter
+    ) -> None:
         self._loss, self._actor, self._params = loss, actor, params
 
     def __call__(self, rows: Tensor) -> MinibatchStats:

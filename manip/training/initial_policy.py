@@ -1,0 +1,70 @@
+"""Start a run's actor from a trained policy (`--init`)."""
+
+from dataclasses import fields, replace
+from typing import Any
+
+from manip.agents.agent import Agent
+from manip.agents.initial_actor import initial_actor, network_options
+from manip.agents.networks import Actor
+from manip.agents.policy import load_policy
+from manip.agents.policy_card import PolicyCard
+from manip.envs.adapters.torchrl import TaskEnv
+from manip.errors import UserError
+from manip.training.config import TrainConfig
+
+CAREFUL = {
+    "random_steps": 0,
+    "critic_steps": 8_000,
+    "critic_rollouts": 5,
+    "initial_alpha": 0.01,
+}
+"""Options of --agent with which an initial policy is not lost at once: it collects from
+the first step, the critics learn before the actor does, and entropy counts little."""
+
+
+def starting_from(config: TrainConfig, where: str) -> TrainConfig:
+    """Return the options of a run that starts from a policy.
+
+    The network is the policy's, and the start careful; see `CAREFUL`.
+
+    Raises:
+        UserError: there is no such policy.
+    """
+    policy = load_policy(where)
+    options: dict[str, Any] = dict(CAREFUL)
+    if isinstance(policy.actor, Actor):
+        options |= network_options(policy.actor)
+    names = {field.name for field in fields(config.agent)}
+    fitting = {name: value for name, value in options.items() if name in names}
+    return replace(config, init=where, agent=replace(config.agent, **fitting))
+
+
+def start_agent(config: TrainConfig, agent: Agent, env: TaskEnv) -> tuple[str, ...]:
+    """Start the agent's actor from the policy of `--init`, if there is one.
+
+    Returns:
+        A line that says what was loaded and what is new.
+
+    Raises:
+        UserError: the policy does not fit the run.
+    """
+    if config.init is None or config.resume:
+        return ()
+    policy, where = load_policy(config.init), config.init
+    _check_actions(policy.card, config, where)
+    spec = env.batch.observation_spec
+    initial = initial_actor(policy, agent.actor, spec, where)
+    agent.start_from(initial.weights, config.init_std)
+    trained = f"{policy.card.task}, {policy.card.robot}, {policy.card.algo}"
+    new = f"all but {', '.join(initial.new)}" if initial.new else "all layers"
+    return (f"actor from {where} ({trained}): {new} loaded; the critics are new",)
+
+
+def _check_actions(card: PolicyCard, config: TrainConfig, where: str) -> None:
+    for name in ("controller", "control_freq"):
+        trained, expected = getattr(card, name), getattr(config, name)
+        if trained != expected:
+            raise UserError(
+                f"the policy in {where} was trained with {name} {trained}, not "
+                f"{expected}: its actions mean something else in this run"
+            )

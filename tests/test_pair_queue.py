@@ -1,0 +1,43 @@
+"""The queue of pairs that wait for an answer."""
+
+from pathlib import Path
+
+import pytest
+
+from manip.errors import DamagedError
+from manip.preferences.pair_queue import QUEUE, Pair, append_pairs, read_pairs
+
+PAIRS = [Pair(0, "a", "b", "run"), Pair(1, "c", "a")]
+
+
+def test_pairs_are_read_as_they_were_written(tmp_path: Path) -> None:
+    assert read_pairs(tmp_path) == []
+    append_pairs(tmp_path / "new", PAIRS[:1])
+    append_pairs(tmp_path / "new", PAIRS[1:])
+    assert read_pairs(tmp_path / "new") == PAIRS
+
+
+def test_what_a_killed_writer_left_is_replaced(tmp_path: Path) -> None:
+    append_pairs(tmp_path, PAIRS[:1])
+    with (tmp_path / QUEUE).open("a") as file:
+        file.write('{"round": 1, "left": "c')
+    assert read_pairs(tmp_path) == PAIRS[:1]
+    append_pairs(tmp_path, PAIRS[1:])
+    assert read_pairs(tmp_path) == PAIRS
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        '{"round": "0", "left": "a", "right": "b"}',
+        '{"round": 0, "left": ["a"], "right": "b"}',
+        '{"round": 0, "right": "b"}',
+        '{"round": 0, "left": "a", "right": "a"}',
+    ],
+)
+def test_a_damaged_line_is_named(tmp_path: Path, line: str) -> None:
+    append_pairs(tmp_path, PAIRS)
+    with (tmp_path / QUEUE).open("a") as file:
+        file.write(f"{line}\n")
+    with pytest.raises(DamagedError, match=r"queries\.jsonl, line 3"):
+        read_pairs(tmp_path)
