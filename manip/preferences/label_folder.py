@@ -54,6 +54,10 @@ class LabelFolder:
             if frozenset((pair.left, pair.right)) not in answered
         ]
 
+    def answer(self, pair: Pair, answer: str, labeller: str) -> None:
+        """Record an answer to a pair."""
+        self._comparisons.append(labeller, pair, answer)
+
     def count(self) -> int:
         """Number of answers, whoever asked."""
         return len(self._answers())

@@ -15,14 +15,10 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torch import Tensor, nn
+from torch import nn
 
-from manip.agents.agent import Agent, AgentConfig, Spaces
+from manip.agents.agent import Agent, AgentConfig
 from manip.preferences.clip_pool import START_KEYS, ClipPool
-from manip.preferences.label_options import LabelOptions
-from manip.preferences.queries import choose_pairs
-from manip.preferences.reward_learning import generator_of
-from manip.preferences.reward_model import RewardModel, step_inputs
 from manip.preferences.rounds import Rounds
 
 
@@ -31,32 +27,23 @@ class PreferenceAgent(Agent):
 
     Args:
         agent: the algorithm.
-        options: when and how clips are compared.
         pool: takes the rollouts.
         rounds: has clips compared, and learns from the answers.
-        seed: of the choice of pairs.
     """
 
     name = "preferences"
     Config = AgentConfig
 
     def __init__(  # type: ignore[override]
-        self,
-        agent: Agent,
-        options: LabelOptions,
-        pool: ClipPool,
-        rounds: Rounds,
-        seed: int,
+        self, agent: Agent, pool: ClipPool, rounds: Rounds
     ) -> None:
-        self._agent, self._options, self._seed = agent, options, seed
-        self._pool, self._rounds = pool, rounds
+        self._agent, self._pool, self._rounds = agent, pool, rounds
+        self.actor, self.rollout_length = agent.actor, agent.rollout_length
         self._steps = self._round = 0
         self._logged: dict[str, float] = {}
-        self.actor, self.rollout_length = agent.actor, agent.rollout_length
-        self.off_policy = agent.off_policy  # type: ignore[misc]
 
     def policy(self) -> TensorDictModuleBase:
-        """The agent's policy."""
+        """See the agent."""
         return self._agent.policy()
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
@@ -67,8 +54,61 @@ class PreferenceAgent(Agent):
         if not self._round:
             self._agent.store(batch)
             return {}
-        reward = self._rounds.model(batch)
-        batch["next", "reward"] = reward
+        batch["next", "reward"] = reward = self._rounds.model(batch)
         learned = self._agent.update(batch)
         return learned | self._logged | {"learned_reward": reward.mean().item()}
-...
+
+    def waiting(self) -> str:
+        """Have clips compared and learn a new reward, if it is time.
+
+        Raises:
+            UserError: there are too few clips, or the folder's files do not fit.
+        """
+        if not self._rounds.due(self._round, self._steps):
+            return ""
+        missing = self._rounds.missing(self._round, self._pool)
+        if missing:
+            place = self._rounds.folder.folder
+            return f"{missing} pairs of clips wait for answers: manip label {place}"
+        pairs = self._rounds.learn(self._round)
+        card = self._rounds.model.card
+        self._logged = {"labels": self._rounds.labels, "accuracy": card.accuracy}
+        self._agent.relabel(self._rounds.model)
+        self._logged |= self._agent.compare(pairs)
+        self._round += 1
+        return ""
+
+    def modules(self) -> dict[str, nn.Module]:
+        """The agent's, and the network of the learned reward."""
+        network = {"learned_reward": self._rounds.model.network}
+        return self._agent.modules() | network
+
+    def optimisers(self) -> dict[str, torch.optim.Optimizer]:
+        """See the agent."""
+        return self._agent.optimisers()
+
+    def extra_state(self, buffer: bool = True) -> dict[str, Any]:
+        """The agent's, and under "preferences" the clips and where the rounds stand."""
+        own = {
+            "steps": self._steps,
+            "round": self._round,
+            "labels": self._rounds.labels,
+            "logged": [*self._logged.items()],
+            "pool": self._pool.state(),
+        }
+        return self._agent.extra_state(buffer) | {"preferences": own}
+
+    def load_extra_state(self, state: dict[str, Any]) -> None:
+        """Restore what `extra_state` returned.
+
+        Raises:
+            ValueError: it is of another run, or damaged.
+        """
+        own = state["preferences"]
+        self._agent.load_extra_state(state)
+        self._pool.load_state(own["pool"])
+        self._steps, self._round = own["steps"], own["round"]
+        self._rounds.labels = own["labels"]
+        self._logged = {str(name): float(value) for name, value in own["logged"]}
+        if min(self._steps, self._round, self._rounds.labels) < 0:
+            raise ValueError("the counters of the rounds are out of range")

@@ -89,6 +89,14 @@ def step_inputs(rollout: TensorDictBase, inputs: Inputs) -> Tensor:
     return torch.cat([rollout["observation"], rollout["action"]], -1)
 
 
+def clip_inputs(clips: TensorDictBase, inputs: Inputs) -> Tensor:
+    """[C, L, F]: what a learned reward sees of the steps of clips (see `ClipPool`)."""
+    if inputs == "measures":
+        measures: Tensor = clips["measures"]
+        return measures
+    return torch.cat([clips["observation"], clips["action"]], -1)
+
+
 def input_names(
     inputs: Inputs, measures: Sequence[str], observation_dim: int, action_dim: int
 ) -> list[str]:
