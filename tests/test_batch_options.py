@@ -77,7 +77,10 @@ WRONG_OPTIONS = [
     ({"stagger": "no"}, "stagger must be True or False, not 'no'"),
     ({"scene": 3}, "scene must be a Scene, not 3"),
     ({"horizn": 3}, "unknown option 'horizn': did you mean 'horizon'"),
-    ({"hard_reset": True}, "unknown option 'hard_reset': .*known options: fid"),
+    (
+        {"hard_reset": True},
+        "unknown option 'hard_reset': .*known options: cameras, fid",
+    ),
     ({"backend": "stock", "num_envs": 1, "threads": 1}, "unknown option 'threads'"),
     ({"backend": "stock", "num_envs": 1, "hard_reset": "no"}, "hard_reset must be Tru"),
     ({"task": 3}, "task must be a Task or its name, not 3"),

@@ -13,6 +13,7 @@ TOWER = (
     {"errors"},
     {"untrusted_code"},
     {"compiled", "cpus", "observation", "plugins", "robot_config", "versions"},
+    {"cameras"},
     {"io"},
     {"rewards"},
     {"sim"},

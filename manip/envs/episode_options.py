@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from manip.cameras import CameraConfig, check_cameras
 from manip.envs.episode_streams import TRAINING, Purpose, check_purpose, check_seed
 from manip.errors import at_least
 
@@ -19,6 +20,7 @@ class EpisodeOptions:
         purpose: see `manip.envs.episode_streams.Purpose`.
         first_env: number of the first environment in the random streams; batches that
             share a seed have different episodes.
+        cameras: cameras whose pictures are parts of the observation; None for none.
 
     Raises:
         UserError: an option is out of its range.
@@ -30,9 +32,11 @@ class EpisodeOptions:
     seed: int = 0
     purpose: Purpose = TRAINING
     first_env: int = 0
+    cameras: CameraConfig | None = None
 
     def __post_init__(self) -> None:
         at_least(1, "horizon", 1 if self.horizon is None else self.horizon)
         at_least(0, "first_env", self.first_env)
         check_seed(self.seed)
         check_purpose(self.purpose)
+        check_cameras(self.cameras)

@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from manip.cameras import check_cameras
 from manip.envs.episode_options import EpisodeOptions
 from manip.envs.episode_streams import check_purpose, check_seed
 from manip.envs.fault_recorder import FaultRecorder
 from manip.envs.faults import non_finite
 from manip.envs.measure_cache import MeasureCache
 from manip.envs.option_checks import state_array
+from manip.envs.pictures import Pictures
 from manip.envs.reward_range import RewardRange
 from manip.envs.task import Measures, Task
 from manip.envs.task_check import check_memory, check_task
@@ -23,7 +25,7 @@ from manip.envs.task_outputs import OutputForm, TaskOutputs, evaluate
 from manip.envs.time_step import TimeStep
 from manip.envs.visible_measures import VisibleMeasures
 from manip.errors import UserError, at_least, check_choice
-from manip.observation import vector_spec
+from manip.observation import ObservationSpec, vector_spec
 from manip.rewards.compose import override_weights, weighted_sum
 from manip.sim.actions import checked_actions
 from manip.sim.env_ids import checked_env_ids
@@ -45,7 +47,9 @@ class TaskBatch(FaultRecorder, ABC):
         UserError: a function of the task returns a wrong name, shape or dtype.
 
     Attributes:
-        observation_spec: names, shapes and roles of the observation's parts.
+        observation_spec: names, shapes and roles of the observation's parts, cameras
+            last.
+        cameras: the cameras whose pictures are observed.
         reward_weights: term -> weight, as paid.
         reward_names: names of the terms, in order.
         measure_names: names of the visible measures, in order.
@@ -87,7 +91,10 @@ class TaskBatch(FaultRecorder, ABC):
             )
         self.reward_names = tuple(self.reward_weights)
         self.measure_names = self._visible.names
-        self.observation_spec = vector_spec(outputs.parts, task.proprioception)
+        self.cameras = cameras = check_cameras(options.cameras)
+        self._pictures = Pictures(cameras, num_envs, self._draw)
+        vector = vector_spec(outputs.parts, task.proprioception)
+        self.observation_spec = ObservationSpec((*vector.parts, *cameras.parts))
         self._form = OutputForm(task, outputs)
         self._range = RewardRange(task, reward == "shaped" and not overrides)
         self._last_observation = np.zeros(
@@ -119,6 +126,10 @@ class TaskBatch(FaultRecorder, ABC):
     def _move(self, action: Array) -> Array:
         """Advance all environments one control step; [N] bool, those that diverged."""
 
+    def _draw(self, env_ids: Array) -> Mapping[str, Array]:
+        """Part name -> uint8 [n, H, W, 3], the cameras of the given environments."""
+        raise UserError(f"{type(self).__name__} has no cameras")
+
     def save_state(self) -> dict[str, Any]:
         """Complete state, as plain values and arrays."""
         raise UserError(f"{type(self).__name__} cannot save its state")
@@ -141,6 +152,7 @@ class TaskBatch(FaultRecorder, ABC):
             "episode": self.episode.copy(),
             "fault_count": self.fault_count,
             "motion": self._visible.save_state(),
+            **self._pictures.save_state(),
         }
 
     def _restore_clocks(self, state: dict[str, Any]) -> None:
@@ -153,6 +165,7 @@ class TaskBatch(FaultRecorder, ABC):
             getattr(self, name)[:] = values
         self._visible.load_state(state)
         self.fault_count = int(count)
+        self._pictures.load_state(state)
         self._begun = self.episode >= 0
 
     def restart(self, seed: int | None = None, episode: int = 0) -> None:
@@ -181,6 +194,7 @@ class TaskBatch(FaultRecorder, ABC):
                     self._start_episodes(env_ids)
                 self._update_memory(env_ids)
                 self._visible.begin(env_ids)
+            self._pictures.restart(env_ids)
 
     def step(self, action: Array) -> TimeStep:
         """Advance all environments by one control step.
@@ -199,6 +213,7 @@ class TaskBatch(FaultRecorder, ABC):
         with exits_blamed(self.task):
             diverged = self._move(action)
         self.elapsed += 1
+        self._pictures.append()
         if diverged.any():
             no_number = diverged & np.isnan(action).any(axis=1)
             self._record_faults(
@@ -265,6 +280,7 @@ class TaskBatch(FaultRecorder, ABC):
             milestones=outputs.milestones,
             terminated=terminated,
             truncated=over & ~terminated,
+            images=self._pictures.now,
         )
         finite = time_step.finite()
         self._non_finite = ~finite

@@ -19,6 +19,8 @@ class TimeStep(NamedTuple):
         milestones: name -> [N] bool, named as `Task.milestone_names`.
         terminated: [N] bool, the task failed: there is no future.
         truncated: [N] bool, time is up or the simulation diverged: bootstrap.
+        images: camera part -> uint8 [N, H, W, C], named as in
+            `TaskBatch.observation_spec`; empty without cameras.
     """
 
     observation: Array
@@ -28,6 +30,7 @@ class TimeStep(NamedTuple):
     milestones: Mapping[str, Array]
     terminated: Array
     truncated: Array
+    images: Mapping[str, Array] = {}
 
     @property
     def done(self) -> Array:
@@ -59,4 +62,5 @@ class TimeStep(NamedTuple):
             milestones=zeroed(self.milestones),
             terminated=self.terminated & valid,
             truncated=self.truncated | ~valid,
+            images=self.images,
         )

@@ -87,7 +87,9 @@ def find_backend() -> str | None:
 def use_backend() -> str:
     """Make mujoco draw with `find_backend()`, also if it was imported with another.
 
-    Sets MUJOCO_GL and PYOPENGL_PLATFORM. Call it before the first renderer.
+    Sets MUJOCO_GL, PYOPENGL_PLATFORM and, unless it is set, LP_NUM_THREADS: Mesa's
+    software renderer would start threads of its own, which draw small pictures no
+    faster. Call it before the first renderer.
 
     Raises:
         UserError: no backend draws here; the message lists the packages to install.
@@ -96,6 +98,7 @@ def use_backend() -> str:
     if backend is None:
         raise UserError(f"no OpenGL backend can draw pictures here: {INSTALL_HINT}")
     os.environ.update(_settings(backend))
+    os.environ.setdefault("LP_NUM_THREADS", "0")
     _bind_again()
     return backend
 

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 from queue import SimpleQueue
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 Result = TypeVar("Result")
 
@@ -42,9 +42,13 @@ class GLThread:
         """Run a function in the thread; return or raise what it does."""
         if threading.current_thread() is self._worker:  # a finalizer, say
             return function()
+        return self.post(function).result()
+
+    def post(self, function: Callable[[], Result]) -> "Future[Result]":
+        """Run a function in the thread later, after those that wait."""
         future: Future[Result] = Future()
         self._jobs.put((future, function))
-        return future.result()
+        return future
 
     def _work(self) -> None:
         while job := self._jobs.get():
@@ -59,3 +63,42 @@ class GLThread:
     def _end_with_main(self) -> None:
         threading.main_thread().join()
         self._jobs.put(None)
+
+
+class Closable(Protocol):
+    """An object that holds an OpenGL context."""
+
+    def close(self) -> None:
+        """Free the context; does nothing the second time."""
+
+
+_thread: GLThread | None = None
+_open: set[Closable] = set()
+
+
+def gl_thread() -> GLThread:
+    """The process's only OpenGL thread; started by the first call."""
+    global _thread
+    if _thread is None or not _thread.alive:
+        _open.clear()  # after a fork: they are the parent's
+        _thread = GLThread(at_end=_close_all)
+    return _thread
+
+
+def open_in_gl_thread(make: Callable[[], Closable]) -> Any:
+    """Build an object in the OpenGL thread, and close it when the process ends."""
+    opened = gl_thread().call(make)
+    _open.add(opened)
+    return opened
+
+
+def close_later(opened: Closable) -> None:
+    """Close an object in the OpenGL thread, without waiting: for finalizers."""
+    if opened in _open and _thread is not None and _thread.alive:
+        _open.discard(opened)
+        _thread.post(opened.close)
+
+
+def _close_all() -> None:
+    while _open:
+        _open.pop().close()

@@ -25,12 +25,14 @@ try:
         )
         from robosuite.environments.base import REGISTERED_ENVS
         from robosuite.environments.manipulation.two_arm_env import TwoArmEnv
+        from robosuite.utils import binding_utils
 except AssertionError as error:
     raise UserError(f"robosuite cannot be imported: {one_line(error)}") from error
 
 __all__ = [
     "PANDA",
     "PHYSICS_DT",
+    "draw_with",
     "environment_class",
     "environment_names",
     "make_stock",
@@ -63,6 +65,11 @@ def make_stock(
     with quiet():
         settings = _settings(robot, seed) | options
         return robosuite.make(name, robots=[robot.arm] * arms, **settings)
+
+
+def draw_with(backend: str) -> None:
+    """Make robosuite draw with an OpenGL backend; it reads MUJOCO_GL when imported."""
+    binding_utils._MUJOCO_GL = backend
 
 
 def _settings(robot: RobotConfig, seed: int | None) -> dict[str, Any]:

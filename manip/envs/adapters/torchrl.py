@@ -11,6 +11,7 @@ Keys, with N environments:
     success        [N, 1] bool
     reward_terms   [N, K] float32, named as `batch.reward_names`
     milestones     [N, M] bool, named as `batch.task.milestone_names`
+    <camera>_image [N, H, W, C] uint8, a key for each camera
     measures       [N, V] float32, named as `batch.measure_names`, if requested
     expert_action  [N, A] float32, the action of the task's expert, if requested
     states, ...    what `batch.record` returns, if requested
@@ -69,6 +70,10 @@ class TaskEnv(EnvBase):
             reward_terms=Unbounded((*shape, terms)),
             shape=shape,
         )
+        for part in batch.cameras.parts:
+            self.observation_spec[part.name] = Bounded(
+                0, 255, (*shape, *part.shape), dtype=torch.uint8
+            )
         if measures:
             visible = Unbounded((*shape, len(batch.measure_names)))
             self.observation_spec["measures"] = visible
@@ -83,8 +88,11 @@ class TaskEnv(EnvBase):
         )
 
     def parts(self, tensordict: TensorDictBase) -> dict[str, torch.Tensor]:
-        """Part name -> view [..., k] of the joined observation."""
-        return self.batch.observation_spec.split(tensordict["observation"])
+        """Part name -> view [..., k] of the joined observation, or pictures."""
+        pictures = {
+            part.name: tensordict[part.name] for part in self.batch.cameras.parts
+        }
+        return self.batch.observation_spec.split(tensordict["observation"]) | pictures
 
     def observe(self) -> TensorDictBase:
         """The present state as a reset returns it: no episode has ended."""
@@ -117,6 +125,8 @@ class TaskEnv(EnvBase):
             "truncated": torch.from_numpy(time_step.truncated[:, None]),
             "done": torch.from_numpy(time_step.done[:, None]),
         }
+        for name, pictures in time_step.images.items():
+            tensors[name] = torch.from_numpy(pictures)
         if self._measures:
             tensors["measures"] = torch.from_numpy(self.batch.measures())
         if self._states:

@@ -6,6 +6,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from manip.cameras import check_cameras
 from manip.envs.episode_options import EpisodeOptions
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.external_task import ExternalTask
@@ -24,6 +25,7 @@ from manip.sim.engine import Snapshot
 from manip.sim.not_copied import DeepCopied
 from manip.sim.robosuite_factory import PANDA
 from manip.sim.scene import Fidelity, Scene, load_scene
+from manip.sim.scene_cameras import SceneCameras
 
 Array = np.ndarray
 
@@ -93,6 +95,8 @@ class NativeBatch(DeepCopied, TaskBatch):
             RestartBuffer(milestones, self.engine.save()) if restart_fraction else None
         )
         self._robot, self._fidelity = robot, fidelity
+        cameras = check_cameras(episodes.cameras)
+        self._drawn = SceneCameras(self.scene, cameras) if cameras.names else None
         action_dim = self.scene.layout.action_dim
         super().__init__(task, num_envs, action_dim, episodes, robot.control_freq)
         with blamed(task):
@@ -117,6 +121,11 @@ class NativeBatch(DeepCopied, TaskBatch):
             milestones = np.stack([*time_step.milestones.values()], axis=1)
             self._restarts.store(self.engine.save(now), milestones[now])
         return time_step
+
+    def _draw(self, env_ids: Array) -> Mapping[str, Array]:
+        """The cameras' pictures of the present states."""
+        states = self.engine.states[env_ids]
+        return self._drawn.draw(states) if self._drawn else {}
 
     def _start_episodes(self, env_ids: Array) -> None:
         episodes = self.episode[env_ids]

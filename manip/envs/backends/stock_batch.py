@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from manip.cameras import check_cameras
 from manip.envs.episode_options import EpisodeOptions
 from manip.envs.episode_streams import episode_seed
 from manip.envs.option_checks import check_flag
@@ -13,8 +14,9 @@ from manip.envs.task_batch import TaskBatch
 from manip.robot_config import RobotConfig
 from manip.sim.exclusive_use import ExclusiveUse
 from manip.sim.not_copied import NotCopied
-from manip.sim.robosuite_factory import PANDA, make_stock, reseed
+from manip.sim.robosuite_factory import PANDA, reseed
 from manip.sim.stock_check import check_stock
+from manip.sim.stock_driver import StockDriver, check_stock_cameras, open_stock
 from manip.sim.stock_reader import stock_reader
 
 Array = np.ndarray
@@ -32,7 +34,8 @@ class StockBatch(NotCopied, TaskBatch):
         hard_reset: rebuild the model at every reset, as robosuite does by default;
             what it samples when it builds (Lift's cube size) then varies.
         stock: a robosuite environment to step, instead of building one. It must be
-            what `make_stock(task.robosuite_name, robot)` builds (see `check_stock`).
+            what `make_stock(task.robosuite_name, robot)` builds (see `check_stock`),
+            and observe the cameras of the options.
         options: as in `EpisodeOptions`.
     """
 
@@ -47,12 +50,22 @@ class StockBatch(NotCopied, TaskBatch):
     ) -> None:
         check_flag("hard_reset", hard_reset)
         episodes = EpisodeOptions(**options)
-        self.stock = stock or make_stock(
-            task.robosuite_name, robot, episodes.seed, hard_reset=hard_reset
-        )
-        if stock is not None:
+        cameras = check_cameras(episodes.cameras)
+        if stock is None:
+            self._driver = open_stock(
+                task.robosuite_name,
+                robot,
+                episodes.seed,
+                cameras,
+                hard_reset=hard_reset,
+            )
+        else:
             horizon = episodes.horizon or task.horizon
             check_stock(stock, task.robosuite_name, robot, horizon)
+            check_stock_cameras(stock, cameras)
+            self._driver = StockDriver(stock)
+        self.stock = self._driver.stock
+        self._observation: Mapping[str, Array] = {}
         self._reader = stock_reader(self.stock, task.sensors)
         self._memory = _blank(task)
         self._exclusive = ExclusiveUse("the robosuite environment")
@@ -68,13 +81,18 @@ class StockBatch(NotCopied, TaskBatch):
         """The stock environment's own model."""
         return self.stock.sim.model._model
 
+    def _draw(self, env_ids: Array) -> Mapping[str, Array]:
+        """The pictures that robosuite observed last."""
+        names = [part.name for part in self.cameras.parts]
+        return {name: self._observation[name][None] for name in names}
+
     def _start_episodes(self, env_ids: Array) -> None:
         key = episode_seed(
             self.seed, self.purpose, self.first_env, int(self.episode[0])
         )
         reseed(self.stock, key)
         with self._exclusive:
-            self.stock.reset()
+            self._observation = self._driver.run(self.stock.reset)
         self._memory = _blank(self.task)
         if self.stock.hard_reset:
             self._reader = stock_reader(self.stock, self.task.sensors)
@@ -86,8 +104,10 @@ class StockBatch(NotCopied, TaskBatch):
     def _move(self, action: Array) -> Array:
         broken = np.isnan(action).any(axis=1)
         if not broken[0]:
+            taken = action[0].astype(np.float64)
             with self._exclusive:
-                self.stock.step(action[0].astype(np.float64))
+                step = self._driver.run(lambda: self.stock.step(taken))
+            self._observation = step[0]
         return broken
 
 

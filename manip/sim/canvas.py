@@ -1,0 +1,75 @@
+"""An OpenGL context, and MuJoCo's memory to draw one model in it."""
+
+import importlib
+
+import mujoco
+import numpy as np
+
+from manip.errors import UserError
+
+Array = np.ndarray
+
+MAX_GEOMS = 10_000
+"""Most geoms in a picture, as in robosuite (utils/binding_utils.py)."""
+
+BINDING = "mujoco.rendering.classic.gl_context"
+"""Module of mujoco's OpenGL contexts, of the backend in MUJOCO_GL."""
+
+
+class Canvas:
+    """Draw pictures of one model and one size; in the OpenGL thread only.
+
+    Args:
+        model: what is drawn. Its meshes and textures are copied to OpenGL.
+        height, width: of a picture [pixels], at most those of its offscreen buffer.
+
+    Raises:
+        UserError: the picture is larger than the model's offscreen buffer.
+
+    Attributes:
+        scene: MuJoCo's scene, whose flags say how it is drawn.
+    """
+
+    def __init__(self, model: mujoco.MjModel, height: int, width: int) -> None:
+        screen = model.vis.global_
+        if width > screen.offwidth or height > screen.offheight:
+            raise UserError(
+                f"a picture of {width} x {height} pixels is larger than the model's "
+                f"framebuffer, {screen.offwidth} x {screen.offheight}"
+            )
+        self._model = model
+        self._area = mujoco.MjrRect(0, 0, width, height)
+        self._context = importlib.import_module(BINDING).GLContext(width, height)
+        self._context.make_current()
+        scale = mujoco.mjtFontScale.mjFONTSCALE_150
+        self._drawing = mujoco.MjrContext(model, scale.value)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._drawing)
+        self.scene = mujoco.MjvScene(model, MAX_GEOMS)
+        self._closed = False
+
+    def draw(
+        self,
+        data: mujoco.MjData,
+        view: mujoco.MjvCamera,
+        options: mujoco.MjvOption,
+        picture: Array,
+    ) -> None:
+        """Draw a state into `picture`, uint8 [height, width, 3], bottom row first."""
+        everything = mujoco.mjtCatBit.mjCAT_ALL
+        self._context.make_current()
+        mujoco.mjv_updateScene(
+            self._model, data, options, None, view, everything, self.scene
+        )
+        mujoco.mjr_render(self._area, self.scene, self._drawing)
+        mujoco.mjr_readPixels(picture, None, self._area, self._drawing)
+
+    def close(self) -> None:
+        """Free the context and what it holds; does nothing the second time.
+
+        MuJoCo deletes textures and lists by numbers, in the context that is current.
+        """
+        if not self._closed:
+            self._closed = True
+            self._context.make_current()
+            self._drawing.free()
+            self._context.free()
