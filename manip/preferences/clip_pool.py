@@ -1,10 +1,14 @@
 """Cut the rollouts of a run into clips, and keep the latest of them."""
 
+from dataclasses import replace
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+
+from manip.preferences.clip_source import ClipSource
+from manip.preferences.clips import Clip
 
 STEP_KEYS = ("observation", "action")
 """Keys of a step that a clip keeps for each of its steps."""
@@ -118,6 +122,24 @@ def _as_clips(windows: TensorDictBase) -> TensorDict:
     first = {key: windows[key][:, 0] for key in (*START_KEYS, "env")}
     qpos = torch.cat([windows["qpos"], windows["qpos_after"][:, -1:]], 1)
     return TensorDict({**many, **first, "qpos": qpos}, windows.shape[:1])
+
+
+def clip_of(row: TensorDictBase, source: ClipSource, actor: str) -> Clip:
+    """Make one of `ClipPool.clips` a clip to be stored.
+
+    Args:
+        source: what all clips of the run have in common.
+        actor: who acted, in words.
+    """
+    arrays = {key: value.numpy() for key, value in row.items()}
+    header = replace(
+        source.header,
+        env=source.first_env + int(arrays.pop("env")),
+        episode=int(arrays.pop("episode")),
+        step=int(arrays.pop("elapsed")),
+        actor=actor,
+    )
+    return Clip(header, **arrays)
 
 
 def _copy(own: Tensor, saved: Tensor, name: str) -> None:

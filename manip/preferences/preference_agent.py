@@ -40,7 +40,7 @@ class PreferenceAgent(Agent):
         self._agent, self._pool, self._rounds = agent, pool, rounds
         self.actor, self.rollout_length = agent.actor, agent.rollout_length
         self._steps = self._round = 0
-        self._logged: dict[str, float] = {}
+        self._news: dict[str, float] = {}
 
     def policy(self) -> TensorDictModuleBase:
         """See the agent."""
@@ -56,7 +56,9 @@ class PreferenceAgent(Agent):
             return {}
         batch["next", "reward"] = reward = self._rounds.model(batch)
         learned = self._agent.update(batch)
-        return learned | self._logged | {"learned_reward": reward.mean().item()}
+        learned |= self._news | {"learned_reward": reward.mean().item()}
+        self._news = {}
+        return learned
 
     def waiting(self) -> str:
         """Have clips compared and learn a new reward, if it is time.
@@ -72,9 +74,9 @@ class PreferenceAgent(Agent):
             return f"{missing} pairs of clips wait for answers: manip label {place}"
         pairs = self._rounds.learn(self._round)
         card = self._rounds.model.card
-        self._logged = {"labels": self._rounds.labels, "accuracy": card.accuracy}
         self._agent.relabel(self._rounds.model)
-        self._logged |= self._agent.compare(pairs)
+        self._news = self._agent.compare(pairs)
+        self._news |= {"labels": self._rounds.labels, "label_accuracy": card.accuracy}
         self._round += 1
         return ""
 
@@ -93,7 +95,6 @@ class PreferenceAgent(Agent):
             "steps": self._steps,
             "round": self._round,
             "labels": self._rounds.labels,
-            "logged": [*self._logged.items()],
             "pool": self._pool.state(),
         }
         return self._agent.extra_state(buffer) | {"preferences": own}
@@ -109,6 +110,5 @@ class PreferenceAgent(Agent):
         self._pool.load_state(own["pool"])
         self._steps, self._round = own["steps"], own["round"]
         self._rounds.labels = own["labels"]
-        self._logged = {str(name): float(value) for name, value in own["logged"]}
         if min(self._steps, self._round, self._rounds.labels) < 0:
             raise ValueError("the counters of the rounds are out of range")

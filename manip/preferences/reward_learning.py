@@ -34,9 +34,7 @@ class ClipReader:
         self._folder, self._card = folder, card
         self._steps: dict[str, dict[Inputs, Tensor]] = {}
 
-    def compared(
-        self, answers: Sequence[Comparison], inputs: Inputs
-    ) -> ComparedClips:
+    def compared(self, answers: Sequence[Comparison], inputs: Inputs) -> ComparedClips:
         """The clips of all answers that were not skipped.
 
         Raises:

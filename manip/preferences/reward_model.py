@@ -121,7 +121,9 @@ def load_reward_model(path: Path) -> RewardModel:
         card = _card(tree["card"])
         network = _network(card, tree["weights"])
     except Exception as error:  # a file can hold anything
-        raise DamagedError(f"{path} holds no reward model: {one_line(error)}") from error
+        raise DamagedError(
+            f"{path} holds no reward model: {one_line(error)}"
+        ) from error
     return RewardModel(card, network)
 
 

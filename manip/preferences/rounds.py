@@ -8,7 +8,7 @@ from tensordict import TensorDictBase
 
 from manip.agents.compared_clips import ComparedClips
 from manip.errors import UserError
-from manip.preferences.clip_pool import ClipPool
+from manip.preferences.clip_pool import ClipPool, clip_of
 from manip.preferences.clip_source import ClipSource
 from manip.preferences.clips import Clip, load_clip, save_clip
 from manip.preferences.label_folder import LabelFolder
@@ -126,4 +126,4 @@ class Rounds:
     def _save(self, clip: TensorDictBase, number: int) -> str:
         """Write a clip of the pool to its file; return its id."""
         actor = f"{self.model.card.task} run, round {number}"
-        return save_clip(self.folder.folder, self.source.clip(clip, actor))
+        return save_clip(self.folder.folder, clip_of(clip, self.source, actor))

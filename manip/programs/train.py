@@ -25,15 +25,10 @@ from manip.training.initial_policy import starting_from
 from manip.training.run import train
 from manip.training.terminal import TerminalProgress
 
-<<<<<<< HEAD
-_TEXT_OPTIONS = {"--task", "--algo", "--robot", "--out", "--wandb", "--agent.reference"}
-_TEXT_OPTIONS |= {"--preferences", "--labels.taste"}
-=======
 _TEXT_OPTIONS = {
     *("--task", "--algo", "--robot", "--out", "--wandb", "--init"),
-    "--agent.reference",
+    *("--agent.reference", "--preferences", "--labels.taste"),
 }
->>>>>>> int
 """Options whose value is text and must not be rewritten as a number."""
 
 

@@ -65,6 +65,7 @@ def _training_env(config: TrainConfig, worker: int, workers: int) -> TaskEnv:
         config,
         num_envs,
         expert=imitates(config),
+        clips=config.preferences is not None,
         fidelity=config.fidelity,
         threads=max(1, share_threads(config)[0] // workers),
         horizon=config.horizon,
@@ -88,13 +89,17 @@ def evaluation_env(config: TrainConfig) -> TaskEnv:
 
 
 def _env(
-    config: TrainConfig, num_envs: int, expert: bool = False, **options: Any
+    config: TrainConfig,
+    num_envs: int,
+    expert: bool = False,
+    clips: bool = False,
+    **options: Any,
 ) -> TaskEnv:
     batch = make_batch(
         config.task, num_envs, robot=config.robot_config, seed=config.seed, **options
     )
     batch.dump_folder = config.folder / "dumps"
-    return TaskEnv(batch, expert)
+    return TaskEnv(batch, expert, measures=clips, states=clips)
 
 
 def build_agent(config: TrainConfig, env: TaskEnv) -> Agent:

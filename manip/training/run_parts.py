@@ -15,6 +15,7 @@ from manip.training.fault_report import FaultReport
 from manip.training.initial_policy import start_agent
 from manip.training.memory import check_memory
 from manip.training.nan_guard import NanGuard
+from manip.training.preferences import check_preferences, with_preferences
 
 
 @dataclass(frozen=True)
@@ -53,11 +54,13 @@ def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
     Raises:
         UserError: an option does not fit, or there is not enough memory.
     """
+    check_preferences(config)
     envs = training_envs(config)
     evaluator = Evaluator(config)
     _check_memory(config, evaluator.env)
     agent = build_agent(config, evaluator.env)
     notes = start_agent(config, agent, evaluator.env)
+    agent = with_preferences(config, agent, envs[0])
     guard = NanGuard(agent.optimisers(), config.faults == "stop")
     milestones = evaluator.env.batch.task.milestone_names
     batch = envs[0].batch
