@@ -10,7 +10,7 @@ from manip.observation import ObservationPart
 
 Quality = Literal["exact", "lean"]
 """exact: robosuite's own pictures, byte for byte. lean: cheaper to draw, for training;
-see `manip.sim.lean_model`."""
+see `manip.sim.scene_cameras`."""
 
 SMALLEST, LARGEST = 8, 1024
 """Limits of the height and width of a picture [pixels]."""

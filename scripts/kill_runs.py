@@ -204,7 +204,7 @@ def _stat(child: int) -> list[str]:
 def readable(run: Path) -> bool:
     """Load the policy, if there is one; --resume loads the rest."""
     if (run / "policy" / "policy.safetensors").is_file():
-        evaluate.load_policy(run)
+        evaluate.load_run(run)
     return True
 
 

@@ -10,8 +10,10 @@ from tiny import Tiny
 from torch import Tensor
 from torchrl.envs import check_env_specs
 
+from manip.agents.actor_inputs import ActorInputs
 from manip.agents.agent import Spaces
-from manip.agents.bc import BC, BCConfig, Demonstration
+from manip.agents.bc import BC, BCConfig
+from manip.agents.demonstration import Demonstration
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.task import Task
@@ -70,7 +72,7 @@ def test_it_learns_the_expert() -> None:
 
 def disturbed(noise: float, lasting: int, steps: int) -> Tensor:
     """[steps, 5, 2]: actions of five environments whose expert rests."""
-    policy = Demonstration(agent_of().actor, noise, lasting, clones=0.0)
+    policy = Demonstration(agent_of().actor, ActorInputs(), noise, lasting, 0.0)
     rest = TensorDict(
         {"observation": torch.ones(5, 1), "expert_action": torch.zeros(5, 2)}, 5
     )

@@ -23,6 +23,7 @@ from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.task_registry import load_task, task_names
 from manip.errors import UserError
 from manip.sim import gl
+from manip.sim.stock_driver import StockDriver
 
 Array = np.ndarray
 
@@ -39,7 +40,9 @@ def _shared_scenes(scene_of, monkeypatch) -> None:
 
     monkeypatch.setattr(native, "load_scene", load_scene)
     monkeypatch.setattr(
-        stock, "make_stock", lambda name, *_, **__: load_scene(name, None).stock
+        stock,
+        "open_stock",
+        lambda name, *_, **__: StockDriver(load_scene(name, None).stock),
     )
 
 

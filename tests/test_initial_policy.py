@@ -22,8 +22,9 @@ from manip.agents.networks import Actor
 from manip.agents.policy import Policy, load_policy
 from manip.errors import UserError
 from manip.observation import ObservationPart, ObservationSpec
-from manip.training.config import from_dict, recipe
+from manip.training.config import from_dict
 from manip.training.initial_policy import CAREFUL, starting_from
+from manip.training.recipes import recipe
 from manip.training.trainer import Trainer
 
 

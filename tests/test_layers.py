@@ -21,6 +21,7 @@ TOWER = (
     {"agents", "evaluation", "tasks"},
     {"preferences"},
     {"training"},
+    {"cluster"},
     {"benchmarks", "studies"},
     {"programs"},
 )

@@ -24,7 +24,7 @@ from manip.programs import cli, main
 from manip.robot_config import RobotConfig
 from manip.sim.external.dm_control_sim import ROBOT, SOLVED, composer, manipulation
 from manip.sim.robosuite_factory import make_stock, reseed
-from manip.training.config import recipe
+from manip.training.recipes import recipe
 from manip.training.run_logs import read_metrics
 
 Array = np.ndarray

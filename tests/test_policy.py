@@ -1,6 +1,8 @@
 """Policies as files: equal actions, and plain words for what cannot be read."""
 
+import json
 import pickle
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,9 +13,11 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from manip.agents import policy as policies
+from manip.agents.image_actor import ImageActor
 from manip.agents.networks import Actor
 from manip.agents.policy import CARD, WEIGHTS, Policy, load_policy
 from manip.agents.policy_card import PolicyCard
+from manip.cameras import CameraConfig
 from manip.errors import DamagedError, UserError
 from manip.io import checksums
 from manip.io.tensor_trees import load_tree, save_tree
@@ -275,3 +279,102 @@ def test_a_shipped_policy_is_found_by_its_name(tmp_path: Path, monkeypatch) -> N
     assert load_policy("Lift").card == policy.card
     with pytest.raises(UserError, match=r"holds no policy .*shipped policies: Lift"):
         load_policy("Lfit")
+
+
+# Policies that see images
+
+
+def camera(name: str, size: int = 12, frames: int = 1) -> dict[str, Any]:
+    shape = [size, size, 3 * frames]
+    return {"name": name, "shape": shape, "dtype": "uint8", "role": "camera"}
+
+
+def image_policy(*vectors: dict[str, Any]) -> Policy:
+    card = replace(
+        make_policy(normalise=False).card,
+        observation=[*vectors, camera("front_image"), camera("wrist_image")],
+        image_channels=[4, 8],
+        image_features=6,
+        image_quality="lean",
+    )
+    sizes = card.encoder_sizes
+    assert sizes is not None
+    return Policy(card, ImageActor(sizes, card.observation_dim, 3, [8, 8], True, False))
+
+
+def images_of(policy: Policy, count: int) -> dict[str, torch.Tensor]:
+    assert policy.card.cameras is not None
+    return {
+        part.name: torch.randint(256, (count, *part.shape), dtype=torch.uint8)
+        for part in policy.card.cameras.parts
+    }
+
+
+@pytest.fixture
+def image_folder(tmp_path: Path) -> Path:
+    image_policy(part("arm", 4, role="proprioception")).save(tmp_path / "policy")
+    return tmp_path / "policy"
+
+
+@pytest.mark.parametrize("vectors", [[], [part("arm", 4, role="proprioception")]])
+def test_a_loaded_image_policy_acts_as_the_saved_one(vectors, tmp_path: Path) -> None:
+    policy = image_policy(*vectors)
+    policy.save(tmp_path)
+    loaded = load_policy(tmp_path)
+    parts = {"arm": torch.randn(20, 4), **images_of(policy, 20)}
+    action = policy(parts)
+    assert loaded.card == policy.card
+    assert loaded.card.name == "Lift-cameras"
+    assert loaded.card.cameras == CameraConfig(("front", "wrist"), 12)
+    assert torch.equal(loaded(parts), action)
+    assert torch.equal(loaded({k: v.numpy() for k, v in parts.items()}), action)
+    assert action.shape == (20, 3)
+    assert not action.requires_grad
+
+
+def test_images_of_another_kind_are_refused(image_folder: Path) -> None:
+    policy = load_policy(image_folder)
+    parts = {"arm": torch.randn(2, 4), **images_of(policy, 2)}
+    for wrong in (parts["front_image"] / 255.0, parts["front_image"][:, :6]):
+        with pytest.raises(
+            UserError, match=r"front_image must be uint8 \[N, 12, 12, 3"
+        ):
+            policy(parts | {"front_image": wrong})
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"observation": [camera("front_image", 4)]},
+        {"observation": [camera("front_image", 2000)]},
+        {"observation": [camera("front_image", 12, 100)]},
+        {"observation": [camera("front_image"), camera("wrist_image", 16)]},
+        {"observation": [camera("front")]},
+        {"observation": [camera("_image")]},
+        {"observation": [camera("front_image") | {"dtype": "float32"}]},
+        {"observation": [camera("front_image") | {"shape": []}]},
+        {"observation": [camera("front_image") | {"shape": [12]}]},
+        {"observation": [camera("front_image") | {"shape": [12, 12]}]},
+        {"observation": [camera("front_image") | {"shape": [12, 16, 3]}]},
+        {"observation": [camera(f"c{i}_image") for i in range(40)]},
+        {"observation": [camera("front_image", 1024)], "image_channels": [1024]},
+        *({"image_channels": []}, {"image_channels": [0]}, {"image_channels": [10**6]}),
+        *({"image_channels": [4] * 200}, {"image_channels": "x"}, {"bins": 3}),
+        *({"image_features": 0}, {"image_features": -1}, {"image_features": 10**9}),
+        *({"image_quality": "x"}, {"image_convention": "opencv"}),
+        *({"image_channels": [4, 9]}, {"image_features": 7}, {"hidden": [8]}),
+    ],
+)
+def test_impossible_cameras_are_refused(change, image_folder: Path) -> None:
+    rewrite(image_folder, lambda tree: tree | {"card": tree["card"] | change})
+    refused(image_folder)
+
+
+def test_a_json_card_without_later_fields_is_no_other_card(folder: Path) -> None:
+    values = json.loads((folder / CARD).read_text())
+    for name in ("image_channels", "image_features", "image_quality"):
+        del values[name]
+    (folder / CARD).write_text(json.dumps(values))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_policy(folder)

@@ -27,7 +27,7 @@ from manip.evaluation import runners as evaluation
 from manip.programs import cli, evaluate, main, render
 from manip.robot_config import CONTROLLERS, ROBOTS
 from manip.sim import gl
-from manip.training.config import recipe_names
+from manip.training.recipes import recipe_names
 
 ROOT = Path(__file__).parents[1]
 

@@ -13,21 +13,16 @@ from manip.envs.task_registry import load_task, task_names
 from manip.errors import UserError
 from manip.programs import train
 from manip.training.build import build_agent, evaluation_env, training_envs
-from manip.training.config import (
-    from_dict,
-    recipe,
-    recipe_names,
-    recipes,
-    to_dict,
-)
+from manip.training.config import from_dict, to_dict
+from manip.training.recipes import recipe, recipe_choice, recipe_names, recipes
 
 
 def test_every_recipe_loads_for_the_task_and_algorithm_it_is_named_after() -> None:
     for name in recipe_names():
-        task, algo = name.split("-", 1)
+        task, algo, observe = recipe_choice(name)
         names = {known.lower(): known for known in task_names()}
-        config = recipe(names.get(task, task), algo)
-        assert config != recipe("a task without a recipe", algo), name
+        config = recipe(names.get(task, task), algo, observe=observe)
+        assert config != recipe("no recipe", algo, observe=observe), name
         assert isinstance(config.agent, load_algorithm(algo).Config)
         assert load_task(config.task).name.lower() == task
         assert config.eval_every <= config.steps

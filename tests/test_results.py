@@ -20,7 +20,7 @@ from manip.programs import ship_policy as shipping
 from manip.programs.results import with_table
 from manip.robot_config import ROBOTS
 from manip.training import final_evaluation
-from manip.training.config import recipe_names, recipes
+from manip.training.recipes import recipe_names, recipes
 from manip.training.run import train_or_resume
 
 README = (Path(__file__).parents[1] / "README.md").read_text()
@@ -33,7 +33,7 @@ def test_the_readme_shows_the_stored_results() -> None:
 
 
 def test_every_result_is_of_a_recipe_and_an_arm() -> None:
-    known = {(config.task, config.algo) for config in recipes().values()}
+    known = {(config.task, config.method) for config in recipes().values()}
     stored = load_results()
     assert len({result.key for result in stored.results}) == len(stored.results) > 2
     for result in stored.results:
@@ -49,7 +49,7 @@ def test_every_result_is_of_a_recipe_and_an_arm() -> None:
 def test_a_shipped_policy_loads_and_has_a_result(name: str) -> None:
     card = load_policy(name).card
     assert card.name == name
-    run = load_results().run((card.task, card.robot, card.algo), card.seed)
+    run = load_results().run((card.task, card.robot, card.method), card.seed)
     assert run
     assert run.env_steps >= card.env_steps
     assert run.rate.rate >= shipping.WORTH
@@ -60,7 +60,9 @@ def test_a_shipped_policy_loads_and_has_a_result(name: str) -> None:
 def test_a_shipped_policy_fits_its_task(name: str) -> None:
     card = load_policy(name).card
     needed = card.observation
-    settings = EpisodeSettings(card.task, card.robot_config, needed, backend="native")
+    settings = EpisodeSettings(
+        card.task, card.robot_config, needed, card.cameras, backend="native"
+    )
     env = make_env(settings)
     assert env.batch.action_dim == card.action_dim
 
@@ -152,7 +154,7 @@ def keys(*what: str, robot: str | None = None) -> list[tuple[str, str, str]]:
     options, stored = reproduce.Reproduce(what, robot), load_results()
     jaco = replace(stored.results[0], task="Lift", algo="sac", robot="Jaco")
     configs = reproduce.chosen(options, replace(stored, results=(jaco,)))
-    return [(config.task, config.robot, config.algo) for config in configs]
+    return [(config.task, config.robot, config.method) for config in configs]
 
 
 def test_recipes_are_found_by_name_task_and_arm() -> None:

@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 import torch
 
+from manip.agents.agent import Spaces
 from manip.errors import UserError, out_of_memory
 from manip.programs import train
 from manip.training import memory
-from manip.training.config import TrainConfig, recipe
+from manip.training.config import TrainConfig
 from manip.training.memory import check_memory, memory_errors
 from manip.training.progress import Progress
+from manip.training.recipes import recipe
 from manip.training.run_logs import check_wandb
 from manip.training.terminal import TerminalProgress
 
@@ -159,11 +161,11 @@ def test_errors_of_every_allocator_are_one_line() -> None:
 def test_a_buffer_that_does_not_fit_is_refused_before_it_is_made(monkeypatch) -> None:
     config = recipe("Lift", "sac")
     large = replace(config, agent=replace(config.agent, buffer_size=20_000_000))
-    check_memory(config, 40, 7)
+    check_memory(config, Spaces(40, 7))
     monkeypatch.setattr(memory, "available_memory", lambda: 2**60)
     monkeypatch.setattr(resource, "getrlimit", lambda _: (2**32, 2**32))
     with pytest.raises(UserError, match=r"20,000,000 steps needs at least 6.5 GiB.*"):
-        check_memory(large, 40, 7)
+        check_memory(large, Spaces(40, 7))
     check_memory(recipe("Lift", "ppo"), 40, 7)
 
 

@@ -97,7 +97,7 @@ def tiny(algo: str, out: Path, **changes: Any) -> TrainConfig:
 _scenes: dict[Any, Scene] = {}
 
 
-def _shared_scene(name: str, sensors: Sensors, *options: Any) -> Scene:
+def shared_scene(name: str, sensors: Sensors, *options: Any) -> Scene:
     """A compiled scene, built once: that takes longest in a small run."""
     if (name, *options) not in _scenes:
         _scenes[name, *options] = load_scene(name, sensors, *options)
@@ -106,7 +106,7 @@ def _shared_scene(name: str, sensors: Sensors, *options: Any) -> Scene:
 
 def new_trainer(config: TrainConfig, reward: RewardFunction | None = None) -> Trainer:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(native, "load_scene", _shared_scene)
+        patch.setattr(native, "load_scene", shared_scene)
         reward = reward or EnvironmentReward()
         return Trainer(config, TerminalProgress(), reward, Event())
 

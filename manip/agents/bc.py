@@ -8,36 +8,36 @@ the expert acts, with noise as in DART (Laskey et al. 2017, arXiv 1703.09327) th
 from none in the first environment to `noise` in the last. In the others, from the
 second rollout on, the clone acts and the expert only labels the states: DAgger (Ross et
 al. 2011, arXiv 1011.0686).
+
+The expert always acts on the whole observation. The actor may see camera images and
+proprioception instead (`Spaces.actor`): it is then the student of a privileged teacher
+(Chen et al. 2020, arXiv 1912.12294), and learns to predict, too, what only the teacher
+sees (see `manip.agents.cloning_losses`). It is not deployed with that prediction.
 """
 
-import warnings
 from collections.abc import Sequence
-from copy import deepcopy
 from dataclasses import dataclass
 from typing import Annotated, Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torch.optim import Adam
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
-from torchrl.objectives import BCLoss
 
-from manip.agents.agent import Agent, AgentConfig, Spaces
-from manip.agents.networks import Actor, seeded_generator
+from manip.agents.agent import Agent, Spaces
+from manip.agents.cloning_losses import cloning_losses
+from manip.agents.demonstration import Demonstration
+from manip.agents.image_actor import ImageActor
+from manip.agents.make_actor import ImageConfig, make_actor
+from manip.agents.networks import Actor
 from manip.agents.off_policy import descend
 from manip.io.option_ranges import COUNT, NUMBER, SHARE
 
-# BCLoss has no target networks, and warns of it.
-warnings.filterwarnings("ignore", "The name target_actor_network_params")
-
-KEYS = ("observation", "expert_action")
-"""Keys of a step that are stored."""
-
 
 @dataclass(frozen=True)
-class BCConfig(AgentConfig):
+class BCConfig(ImageConfig):
     """Options of behaviour cloning; `steps` of the run are those of the expert."""
 
     noise: Annotated[float, NUMBER] = 0.3
@@ -59,48 +59,9 @@ class BCConfig(AgentConfig):
     """Widths of the actor's hidden layers."""
     buffer_size: Annotated[int, COUNT] = 400_000
     """Capacity of the buffer of labelled steps [control steps]."""
-
-
-class Demonstration(TensorDictModuleBase):
-    """Act as the expert, with noise that lasts several steps; or as its clone.
-
-    Args:
-        clones: fraction of the environments, the last ones, in which the clone acts.
-    """
-
-    in_keys = ["observation", "expert_action"]
-    out_keys = ["action"]
-
-    def __init__(
-        self, actor: Actor, noise: float, noise_steps: int, clones: float
-    ) -> None:
-        super().__init__()
-        self._actor, self._clones = deepcopy(actor), clones
-        self._noise, self._renewal = noise, 1 / noise_steps
-        self._generator = seeded_generator()
-        self._offset: Tensor | None = None
-
-    @torch.no_grad()
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write `action` [N, A]."""
-        observation, expert = tensordict["observation"], tensordict["expert_action"]
-        first = len(expert) - round(self._clones * len(expert))
-        clone = self._actor.decide(observation[first:])
-        action = torch.cat([self._add_noise(expert[:first]), clone])
-        return tensordict.set("action", action.clamp(-1, 1))
-
-    def _add_noise(self, action: Tensor) -> Tensor:
-        level = torch.linspace(0, self._noise, len(action))[:, None]
-        return action + level * self._offsets(action.shape)
-
-    def _offsets(self, shape: torch.Size) -> Tensor:
-        """Draw standard normal noise [N, A]; rows are redrawn at random times."""
-        offset = torch.randn(shape, generator=self._generator)
-        if self._offset is not None:
-            chance = torch.rand((len(offset), 1), generator=self._generator)
-            offset = torch.where(chance < self._renewal, offset, self._offset)
-        self._offset = offset
-        return offset
+    auxiliary: Annotated[float, NUMBER] = 1.0
+    """Weight of the loss by which an actor with cameras also learns to predict the
+    parts of the observation that it does not see, such as the objects' poses."""
 
 
 class BC(Agent):
@@ -110,43 +71,50 @@ class BC(Agent):
     Config = BCConfig
     off_policy = True
     imitates = True
-    actor: Actor
+    sees_images = True
+    actor: Actor | ImageActor
 
     def __init__(self, config: BCConfig, spaces: Spaces, threads: int = 1) -> None:
-        self.config = config
+        self.config, self._spaces = config, spaces
         self.rollout_length = config.rollout_length
-        self.actor = Actor(
-            spaces.observation_dim,
-            spaces.action_dim,
-            config.actor_hidden,
-            squash=True,
-            normalise=False,
+        self.actor = make_actor(
+            spaces, config, config.actor_hidden, squash=True, normalise=False
         )
-        self._loss = _loss(self.actor)
-        self._optim = Adam(self.actor.parameters(), config.learning_rate, fused=True)
+        self._losses = cloning_losses(
+            self.actor, spaces, config.auxiliary, config.image_shift
+        )
+        parameters = [p for m in self.modules().values() for p in m.parameters()]
+        self._optim = Adam(parameters, config.learning_rate, fused=True)
         self._buffer = TensorDictReplayBuffer(
             storage=LazyTensorStorage(config.buffer_size)
         )
         self._owed = 0.0
 
+    @property
+    def _keys(self) -> tuple[str, ...]:
+        """Keys of a step that are stored."""
+        return (*self._spaces.inputs.keys, "expert_action")
+
     def policy(self) -> TensorDictModuleBase:
         """Return the noisy expert, and from the second rollout on also the clone."""
         config = self.config
         clones = config.clones if len(self._buffer) else 0.0
-        return Demonstration(self.actor, config.noise, config.noise_steps, clones)
+        noise = config.noise, config.noise_steps
+        return Demonstration(self.actor, self._spaces.inputs, *noise, clones)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Store the rollout [N, T]; then do as many updates as its steps call for."""
-        labelled = batch.select(*KEYS).reshape(-1)
+        labelled = batch.select(*self._keys).reshape(-1)
         self._buffer.extend(labelled)
         self._owed += len(labelled) * self.config.updates_per_step
         count, self._owed = int(self._owed), self._owed % 1
         losses = [self._learn(part) for part in self._sample(count)]
-        return {"loss_actor": sum(losses) / count} if losses else {}
+        names = losses[0] if losses else ()
+        return {f"loss_{n}": sum(loss[n] for loss in losses) / count for n in names}
 
     def modules(self) -> dict[str, nn.Module]:
-        """Return the actor."""
-        return {"actor": self.actor}
+        """Return the actor, and what its loss needs besides."""
+        return {"actor": self.actor, **self._losses.extra}
 
     def optimisers(self) -> dict[str, torch.optim.Optimizer]:
         """Return one for the actor."""
@@ -156,7 +124,7 @@ class BC(Agent):
         """Return the stored steps, oldest place first, and the updates owed."""
         stored = buffer and len(self._buffer) > 0
         return {
-            "buffer": self._buffer[:].select(*KEYS).to_dict() if stored else None,
+            "buffer": self._buffer[:].select(*self._keys).to_dict() if stored else None,
             "cursor": self._buffer.writer._cursor if stored else 0,
             "owed": self._owed,
         }
@@ -175,9 +143,12 @@ class BC(Agent):
         self._owed = state["owed"]
 
     def _checked(self, stored: dict[str, Tensor]) -> TensorDict:
-        widths = self.actor.observation_dim, len(self.actor.action_scale)
-        size = len(stored["expert_action"])
-        shapes = {key: (size, width) for key, width in zip(KEYS, widths, strict=True)}
+        spaces, size = self._spaces, len(stored["expert_action"])
+        shapes = {
+            "observation": (size, spaces.observation_dim),
+            "expert_action": (size, spaces.action_dim),
+            **{c.name: (size, *c.shape) for c in spaces.inputs.cameras},
+        }
         if {key: tuple(value.shape) for key, value in stored.items()} != shapes:
             raise ValueError("the replay buffer holds steps of other shapes")
         if size > self.config.buffer_size:
@@ -188,25 +159,7 @@ class BC(Agent):
         size = self.config.batch_size
         return self._buffer.sample(batches * size).split(size) if batches else ()
 
-    def _learn(self, batch: TensorDictBase) -> float:
-        loss = self._loss(batch)["loss_bc"]
-        descend(self._optim, loss)
-        return loss.item()
-
-
-class _Decision(nn.Module):
-    """An actor's deterministic action."""
-
-    def __init__(self, actor: Actor) -> None:
-        super().__init__()
-        self.actor = actor
-
-    def forward(self, observation: Tensor) -> Tensor:
-        return self.actor.decide(observation)
-
-
-def _loss(actor: Actor) -> BCLoss:
-    module = TensorDictModule(_Decision(actor), ["observation"], ["expert_action"])
-    loss = BCLoss(module, loss_function="l1")
-    loss.set_keys(action="expert_action")
-    return loss
+    def _learn(self, batch: TensorDictBase) -> dict[str, float]:
+        losses = self._losses(batch)
+        descend(self._optim, sum(losses.values(), torch.zeros(())))
+        return {name: loss.item() for name, loss in losses.items()}

@@ -11,6 +11,10 @@ import torch
 from torch import Tensor, nn
 
 from manip.agents.networks import check_widths
+from manip.errors import UserError, shown
+
+MOST_CHANNELS = 1024
+"""Most channels of a convolution."""
 
 
 class EncoderSizes(NamedTuple):
@@ -33,7 +37,7 @@ class ImageEncoder(nn.Module):
     Convolutions of stride 2 with ReLU (5x5, then 3x3), a linear layer, LayerNorm, ReLU.
 
     Raises:
-        UserError: a layer without channels, or too large.
+        UserError: no convolution, too many, or a layer without channels or too large.
     """
 
     def __init__(
@@ -42,6 +46,11 @@ class ImageEncoder(nn.Module):
         super().__init__()
         height, width, inputs = shape
         check_widths(inputs, features, channels)
+        if not channels or max(channels) > MOST_CHANNELS:
+            raise UserError(
+                f"image_channels must be one number or more, of at most "
+                f"{MOST_CHANNELS}, not {shown(list(channels))}"
+            )
         layers: list[nn.Module] = []
         for outputs in channels:
             kernel = 3 if layers else 5

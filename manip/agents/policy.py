@@ -21,6 +21,7 @@ from manip.agents.policy_card import PolicyCard, read_card
 from manip.errors import UserError, one_line
 from manip.io.atomic_files import write_text
 from manip.io.tensor_trees import load_tree, save_tree
+from manip.observation import ObservationPart
 
 WEIGHTS, CARD = "policy.safetensors", "policy.json"
 
@@ -34,28 +35,49 @@ LARGEST_WEIGHT = 1e6
 """Largest weight that a policy may have: beyond, actions overflow."""
 
 
+AnyActor = Actor | BinnedActor | ImageActor
+
+
 @dataclass(frozen=True)
 class Policy:
     """A deterministic policy: observation parts -> action [N, A] in [-1, 1]."""
 
     card: PolicyCard
-    actor: Actor | BinnedActor | ImageActor
+    actor: AnyActor
 
     @torch.no_grad()
-    def __call__(self, parts: Mapping[str, Tensor]) -> Tensor:
+    def __call__(self, parts: Mapping[str, Any]) -> Tensor:
         """Return the action [N, A] of an observation.
 
         Args:
-            parts: name -> [N, *shape], at least those that the card names.
+            parts: name -> [N, *shape], at least those that the card names; images are
+                uint8.
+
+        Raises:
+            UserError: an image has another shape or type than the card says.
         """
-        names = self.card.observation_spec.slices
-        return self.actor.decide(torch.cat([parts[n].flatten(1) for n in names], -1))
+        spec = self.card.observation_spec
+        images = [_image(parts[p.name], p) for p in spec.parts if p.role == "camera"]
+        vectors = [torch.as_tensor(parts[name]).flatten(1) for name in spec.slices]
+        none = [image.new_zeros((len(image), 0), dtype=torch.float) for image in images]
+        return self.actor.decide(torch.cat([*none, *vectors], -1), *images)
 
     def save(self, folder: Path) -> None:
         """Write the policy's files, each whole or not at all."""
         weights = dict(self.actor.state_dict())
         save_tree(folder / WEIGHTS, {"card": asdict(self.card), "weights": weights})
         write_text(folder / CARD, _to_json(self.card))
+
+
+def _image(value: Any, part: ObservationPart) -> Tensor:
+    """An image [N, H, W, C], checked: others would be encoded to nonsense."""
+    image = torch.as_tensor(value)
+    if image.dtype != torch.uint8 or tuple(image.shape[1:]) != part.shape:
+        raise UserError(
+            f"{part.name} must be uint8 [N, {', '.join(map(str, part.shape))}], not "
+            f"{image.dtype} {[*image.shape]}"
+        )
+    return image
 
 
 def shipped_policies() -> dict[str, Path]:
@@ -97,7 +119,7 @@ def _find(where: str | Path) -> Path:
     )
 
 
-def _load_actor(card: PolicyCard, weights: Any) -> Actor | BinnedActor:
+def _load_actor(card: PolicyCard, weights: Any) -> AnyActor:
     with torch.device("meta"):  # a card may name networks larger than the memory
         actor = _actor(card)
     _check_weights(weights, actor.state_dict())
@@ -105,10 +127,12 @@ def _load_actor(card: PolicyCard, weights: Any) -> Actor | BinnedActor:
     return actor
 
 
-def _actor(card: PolicyCard) -> Actor | BinnedActor:
+def _actor(card: PolicyCard) -> AnyActor:
     sizes = card.observation_dim, card.action_dim, card.hidden
     if card.bins:
         return BinnedActor(*sizes, card.bins)
+    if encoders := card.encoder_sizes:
+        return ImageActor(encoders, *sizes, card.squash, card.normalise)
     return Actor(*sizes, card.squash, card.normalise)
 
 
@@ -131,11 +155,19 @@ def _check_weights(weights: Any, expected: Mapping[str, Tensor]) -> None:
 
 
 def _compare(path: Path, card: PolicyCard) -> None:
-    if path.is_file() and path.read_text(errors="replace") != _to_json(card):
+    if path.is_file() and _from_json(path.read_text(errors="replace")) != card:
         warnings.warn(
             f"{path} differs from the card in {WEIGHTS}, which is the one that is used",
             stacklevel=2,
         )
+
+
+def _from_json(text: str) -> PolicyCard | None:
+    """The card in a JSON file, whose later fields may be missing; None without."""
+    try:
+        return read_card(json.loads(text))
+    except Exception:  # a file can hold anything
+        return None
 
 
 def _to_json(card: PolicyCard) -> str:

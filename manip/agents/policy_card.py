@@ -2,11 +2,13 @@
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
+from manip.agents.image_encoder import MOST_CHANNELS, EncoderSizes
 from manip.agents.networks import MOST_NEURONS
+from manip.cameras import CameraConfig, part_name
 from manip.errors import UserError, shown
 from manip.io.dataclass_values import build
 from manip.io.option_ranges import COUNT, WHOLE, Range, check_options
@@ -21,6 +23,16 @@ TEXT = re.compile(r"[\w .,:/+()-]{0,200}", re.ASCII)
 
 WIDTH = Range(1, MOST_NEURONS)
 
+Observe = Literal["state", "cameras"]
+"""What an actor sees: the whole observation, or cameras and proprioception."""
+
+CAMERAS = "-cameras"
+"""End of the names of recipes and policies whose actor sees cameras."""
+
+MOST_CAMERAS = 16
+MOST_OUTPUTS = 2**24
+"""Most numbers that the first convolution may make of an image."""
+
 
 @dataclass(frozen=True)
 class PolicyCard:
@@ -33,6 +45,11 @@ class PolicyCard:
         squash, normalise: the form of the network; see `Actor`.
         env_steps: control steps of training that led to the policy.
         bins: values that each dimension of the action can take; 0 if it is continuous.
+        image_channels, image_features: widths of the encoder of each camera; see
+            `manip.agents.image_encoder`.
+        image_quality: of the images that the policy was trained with.
+        image_convention: order of the rows: "opengl", the bottom row first, as
+            robosuite's camera observations are.
     """
 
     task: str
@@ -49,6 +66,12 @@ class PolicyCard:
     seed: Annotated[int, Range(0, 2**32 - 1)]
     versions: dict[str, str]
     bins: Annotated[int, Range(0, 1000)] = 0
+    image_channels: Annotated[list[int], Range(1, MOST_CHANNELS)] = field(
+        default_factory=list
+    )
+    image_features: Annotated[int, Range(0, MOST_NEURONS)] = 0
+    image_quality: Literal["", "exact", "lean"] = ""
+    image_convention: Literal["opengl"] = "opengl"
     format: Annotated[int, COUNT] = FORMAT
 
     @property
@@ -58,8 +81,14 @@ class PolicyCard:
 
     @property
     def name(self) -> str:
-        """Name of the policy if it is shipped: its task, and its arm if no Panda."""
-        return self.task if self.robot == "Panda" else f"{self.task}-{self.robot}"
+        """Name of the policy if it is shipped: task, arm if no Panda, and cameras."""
+        robot = "" if self.robot == "Panda" else f"-{self.robot}"
+        return f"{self.task}{robot}{CAMERAS if self.cameras else ''}"
+
+    @property
+    def method(self) -> str:
+        """Algorithm and observation, as recipes are named: bc, bc-cameras."""
+        return method_name(self.algo, "cameras" if self.cameras else "state")
 
     @cached_property
     def observation_spec(self) -> ObservationSpec:
@@ -70,6 +99,39 @@ class PolicyCard:
     def observation_dim(self) -> int:
         """D, the length of the joined observation."""
         return self.observation_spec.dim
+
+    @cached_property
+    def cameras(self) -> CameraConfig | None:
+        """Cameras that an evaluator must give, as robosuite draws them; None without.
+
+        Raises:
+            UserError: their images are of another form than cameras give.
+        """
+        parts = tuple(p for p in self.observation_spec.parts if p.role == "camera")
+        if not parts:
+            return None
+        size, *_, channels = parts[0].shape or (0, 0)
+        names = tuple(part.name.removesuffix(part_name("")) for part in parts)
+        config = CameraConfig(names, size, "exact", channels // 3)
+        if config.parts != parts or len(parts) > MOST_CAMERAS:
+            raise UserError(
+                "images of a policy must be uint8 [S, S, 3 frames], equal for all of "
+                f"at most {MOST_CAMERAS} cameras, named as <camera>_image"
+            )
+        return config
+
+    @property
+    def encoder_sizes(self) -> EncoderSizes | None:
+        """Sizes of the encoders, one for each camera; None without cameras."""
+        if self.cameras is None:
+            return None
+        shapes = tuple(part.shape for part in self.cameras.parts)
+        return EncoderSizes(shapes, tuple(self.image_channels), self.image_features)
+
+
+def method_name(algo: str, observe: Observe) -> str:
+    """Algorithm and observation, as recipes are named: bc, bc-cameras."""
+    return algo if observe == "state" else f"{algo}{CAMERAS}"
 
 
 def read_card(values: Any) -> PolicyCard:
@@ -91,12 +153,30 @@ def read_card(values: Any) -> PolicyCard:
             raise UserError(
                 f"the card holds text that is no plain name: {shown(text[:50])}"
             )
-    if not 1 <= card.observation_dim <= MOST_NEURONS:
+    _check_cameras(card)
+    least = 0 if card.cameras else 1
+    if not least <= card.observation_dim <= MOST_NEURONS:
         raise UserError(
-            f"the observation has {shown(card.observation_dim)} numbers, expected 1 to "
-            f"{MOST_NEURONS}"
+            f"the observation has {shown(card.observation_dim)} numbers, expected "
+            f"{least} to {MOST_NEURONS}"
         )
     return card
+
+
+def _check_cameras(card: PolicyCard) -> None:
+    """Raise `UserError` unless the encoders are possible, if there are cameras."""
+    if card.cameras is None:
+        return
+    if not card.image_channels or not card.image_features or card.bins:
+        raise UserError(
+            "a policy with cameras needs image_channels and image_features, and no bins"
+        )
+    outputs = (card.cameras.size // 2) ** 2 * card.image_channels[0]
+    if outputs > MOST_OUTPUTS:
+        raise UserError(
+            f"the first convolution makes {outputs} numbers of an image, more than "
+            f"{MOST_OUTPUTS}"
+        )
 
 
 def _texts(value: Any) -> Iterator[str]:

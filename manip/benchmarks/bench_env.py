@@ -21,7 +21,7 @@ from manip.envs.make_batch import make_batch
 from manip.sim.scene import Scene
 from manip.training.build import build_agent
 from manip.training.collector import Rollout
-from manip.training.config import recipe
+from manip.training.recipes import recipe
 
 TORCHRL = "TorchRL environment"
 GYMNASIUM = "Gymnasium vector environment"

@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 
+from manip.cameras import CameraConfig
 from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.backends.worker_pool import end_with_parent
@@ -36,6 +37,7 @@ class EpisodeSettings:
         robot: arm, controller and control frequency.
         observation: the parts that the policy needs, from its card; they are compared
             with the environment's unless None.
+        cameras: cameras whose images the policy needs; None for none.
         episodes: number of episodes.
         seed: of their random streams; no two seeds share an episode.
         purpose: episodes of different purposes differ, so that a policy is never
@@ -48,6 +50,7 @@ class EpisodeSettings:
     task: str | Task
     robot: RobotConfig
     observation: Any = None
+    cameras: CameraConfig | None = None
     episodes: int = 100
     seed: int = 0
     purpose: Purpose = EVALUATION
@@ -102,6 +105,7 @@ def make_env(settings: EpisodeSettings, num_envs: int = 1) -> TaskEnv:
         robot=settings.robot,
         seed=settings.seed,
         purpose=settings.purpose,
+        cameras=settings.cameras,
         **options,
     )
     if settings.observation is not None:
@@ -121,7 +125,7 @@ def _stock_episodes(
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(processes, context, _start_worker, (policy, settings))
     try:
-        with _interrupts_blocked():
+        with interrupts_blocked():
             episodes = pool.map(_episode_of_worker, range(settings.episodes))
         yield from episodes
     except BrokenProcessPool as error:
@@ -146,7 +150,7 @@ def _end(pool: ProcessPoolExecutor) -> None:
 
 
 @contextmanager
-def _interrupts_blocked() -> Iterator[None]:
+def interrupts_blocked() -> Iterator[None]:
     """Block Ctrl-C here and, for good, in processes that are started inside.
 
     The terminal sends it to all processes; only the parent is to handle it, even while

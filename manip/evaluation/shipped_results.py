@@ -62,7 +62,11 @@ class Run:
 
 @dataclass(frozen=True)
 class Result:
-    """Results of a recipe on one machine, seed by seed."""
+    """Results of a recipe on one machine, seed by seed.
+
+    Attributes:
+        algo: algorithm and observation, as recipes are named: bc, bc-cameras.
+    """
 
     task: str
     robot: str

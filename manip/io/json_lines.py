@@ -3,7 +3,7 @@
 import fcntl
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +22,21 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
         UserError: the file is too large.
         DamagedError: a line is no JSON object.
     """
+    return [parse_line(line, path, n) for n, line in enumerate(raw_lines(path)[0], 1)]
+
+
+def raw_lines(path: Path) -> tuple[list[bytes], bool]:
+    """The lines of a file, without a last one that is incomplete; whether there is one.
+
+    Raises:
+        UserError: the file is too large.
+    """
     if not path.is_file():
-        return []
+        return [], False
     if path.stat().st_size > MOST_BYTES:
         raise UserError(f"{path} is larger than {MOST_BYTES} bytes")
-    lines = path.read_bytes().split(b"\n")[:-1]
-    return [_object(line, path, number) for number, line in enumerate(lines, 1)]
+    *lines, rest = path.read_bytes().split(b"\n")
+    return lines, bool(rest)
 
 
 def append_lines(path: Path, items: Iterable[Mapping[str, Any]]) -> None:
@@ -36,18 +45,38 @@ def append_lines(path: Path, items: Iterable[Mapping[str, Any]]) -> None:
     What a killed writer left of a last line is cut off before. Writers of several
     processes take turns.
     """
-    text = "".join(json.dumps(item) + "\n" for item in items)
+    update_lines(path, lambda _: items)
+
+
+def update_lines(
+    path: Path, make: Callable[[list[bytes]], Iterable[Mapping[str, Any]]]
+) -> None:
+    """As `append_lines`, of objects that depend on the lines that are there before.
+
+    Args:
+        path: the file.
+        make: returns the objects for these lines; no other process writes meanwhile.
+    """
     handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
     with os.fdopen(handle, "r+b") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
-        file.truncate(file.read().rfind(b"\n") + 1)
+        content = file.read()
+        whole = content.rfind(b"\n") + 1
+        items = make(content[:whole].split(b"\n")[:-1])
+        text = "".join(json.dumps(item) + "\n" for item in items)
+        file.truncate(whole)
         file.seek(0, os.SEEK_END)
         file.write(text.encode())
         file.flush()
         os.fsync(file.fileno())
 
 
-def _object(line: bytes, path: Path, number: int) -> dict[str, Any]:
+def parse_line(line: bytes, path: Path, number: int) -> dict[str, Any]:
+    """The object of a line.
+
+    Raises:
+        DamagedError: the line is no JSON object.
+    """
     try:
         value = json.loads(line)
     except (ValueError, RecursionError):

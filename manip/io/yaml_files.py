@@ -35,6 +35,12 @@ class _PlainLoader(yaml.SafeLoader):
         return mapping
 
 
+class _TextLoader(_PlainLoader):
+    """Leaves numbers, dates and the like as the text that stands in the file."""
+
+    yaml_implicit_resolvers: dict[Any, Any] = {}
+
+
 class _PlainDumper(yaml.SafeDumper):
     """Writes equal values out in full, each time."""
 
@@ -42,8 +48,12 @@ class _PlainDumper(yaml.SafeDumper):
         return True
 
 
-def read_yaml(path: Path) -> Any:
+def read_yaml(path: Path, as_text: bool = False) -> Any:
     """The plain values of a YAML file.
+
+    Args:
+        path: the file.
+        as_text: leave numbers, dates and the like as the text that stands in the file.
 
     Raises:
         UserError: it is damaged, too large, no regular file, or holds aliases, merge
@@ -55,18 +65,18 @@ def read_yaml(path: Path) -> Any:
     if path.stat().st_size > LARGEST:
         raise UserError(f"{path} is larger than {LARGEST:,} bytes")
     try:
-        return parse_yaml(path.read_text(encoding="utf-8"))
+        return parse_yaml(path.read_text(encoding="utf-8"), as_text)
     except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
         raise UserError(f"{path} is damaged: {one_line(error)}") from error
 
 
-def parse_yaml(text: str) -> Any:
-    """The plain values of a YAML text.
+def parse_yaml(text: str, as_text: bool = False) -> Any:
+    """The plain values of a YAML text; see `read_yaml`.
 
     Raises:
         yaml.YAMLError, ValueError, TypeError, RecursionError: it is not plain YAML.
     """
-    return yaml.load(text, _PlainLoader)
+    return yaml.load(text, _TextLoader if as_text else _PlainLoader)
 
 
 def dump_yaml(values: Any) -> str:

@@ -11,7 +11,13 @@ from pathlib import Path
 
 from manip.errors import DamagedError
 from manip.io.json_lines import append_lines, read_lines
-from manip.preferences.comparisons import Comparison, Comparisons, effective
+from manip.preferences.comparison_record import Answer, Comparison
+from manip.preferences.comparisons import (
+    append_comparison,
+    effective,
+    read_comparisons,
+    valid_comparisons,
+)
 from manip.preferences.pair_queue import Pair, append_pairs, read_pairs
 
 ROUNDS = "rounds.jsonl"
@@ -28,7 +34,6 @@ class LabelFolder:
 
     def __init__(self, folder: Path, run: str) -> None:
         self.folder, self._run = folder, run
-        self._comparisons = Comparisons(folder)
 
     def pairs(self, number: int) -> list[Pair]:
         """The pairs that the run asked for in a round."""
@@ -45,29 +50,25 @@ class LabelFolder:
 
     def unanswered(self, number: int) -> list[Pair]:
         """The pairs of a round that nobody has answered yet, on either side."""
-        answered = {
-            frozenset((answer.left, answer.right)) for answer in self._answers()
-        }
+        answered = {answer.pair for answer in valid_comparisons(self.folder)}
         return [
             pair
             for pair in self.pairs(number)
             if frozenset((pair.left, pair.right)) not in answered
         ]
 
-    def answer(self, pair: Pair, answer: str, labeller: str) -> None:
+    def answer(self, pair: Pair, answer: Answer, labeller: str) -> None:
         """Record an answer to a pair."""
-        self._comparisons.append(labeller, pair, answer)
+        clips = pair.left, pair.right
+        append_comparison(self.folder, labeller, clips, answer, number=pair.round)
 
     def count(self) -> int:
         """Number of answers, whoever asked."""
-        return len(self._answers())
-
-    def _answers(self) -> list[Comparison]:
-        return effective(self._comparisons.read())
+        return len(valid_comparisons(self.folder))
 
     def answers(self, number: int) -> list[Comparison]:
         """The answers from which a round learns: all, the first time it is called."""
-        records = self._comparisons.read()
+        records = read_comparisons(self.folder)
         lines = self._used(number)
         if lines is None:
             lines = len(records)

@@ -11,7 +11,7 @@ from torch import Tensor
 from manip.agents.compared_clips import ComparedClips
 from manip.errors import UserError
 from manip.preferences.clips import Clip, load_clip
-from manip.preferences.comparisons import Comparison
+from manip.preferences.comparison_record import Comparison
 from manip.preferences.label_options import Inputs
 from manip.preferences.reward_fit import fit
 from manip.preferences.reward_model import RewardCard, RewardModel

@@ -19,8 +19,9 @@ from manip.programs.demo_folder import FILES, is_unfinished, remove_finished
 from manip.programs.evaluate import Evaluate, evaluate
 from manip.programs.output import console
 from manip.programs.render import Render, render_video
-from manip.training.config import TrainConfig, recipe
+from manip.training.config import TrainConfig
 from manip.training.final_evaluation import check_episodes
+from manip.training.recipes import recipe
 from manip.training.run import RunResult, train
 from manip.training.run_logs import read_metrics
 from manip.training.terminal import TerminalProgress

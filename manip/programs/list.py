@@ -15,7 +15,7 @@ from manip.io.printable import printable
 from manip.programs import cli
 from manip.programs.output import console
 from manip.robot_config import CONTROLLERS, ROBOTS
-from manip.training.config import recipe_names
+from manip.training.recipes import recipe_names
 
 
 @dataclass(frozen=True)

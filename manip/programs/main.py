@@ -19,6 +19,8 @@ PROGRAMS = {
     "list": "list tasks, robots, algorithms, recipes, policies",
     "doctor": "check that this machine can run manip",
     "benchmark": "measure speed",
+    "sweep": "train every combination of options and seeds",
+    "aggregate": "compare the runs of sweeps, with intervals over seeds",
     "study": "compare algorithms and their options",
 }
 """Program -> its purpose; each is the module of its name in `manip.programs`."""

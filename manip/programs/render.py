@@ -108,6 +108,7 @@ def _settings(options: Render, policy: Policy, task: Task) -> EpisodeSettings:
         task=task,
         robot=policy.card.robot_config,
         observation=policy.card.observation,
+        cameras=policy.card.cameras,
         episodes=options.episodes,
         seed=options.seed,
         backend="native",

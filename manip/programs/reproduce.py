@@ -37,10 +37,11 @@ from manip.programs.output import console
 from manip.programs.results import table
 from manip.programs.ship_policy import ship_policy
 from manip.robot_config import ROBOTS
-from manip.training.build import imitates
-from manip.training.config import TrainConfig, recipes
+from manip.training.config import TrainConfig
 from manip.training.final_evaluation import check_episodes
+from manip.training.recipes import recipes
 from manip.training.run import RunResult, train_or_resume
+from manip.training.teacher import imitates
 from manip.training.terminal import TerminalProgress
 from manip.versions import versions
 
@@ -152,7 +153,7 @@ def _robots(config: TrainConfig, options: Reproduce, stored: Results) -> list[st
     others = {
         result.robot
         for result in stored.results
-        if (result.task, result.algo) == (config.task, config.algo)
+        if (result.task, result.algo) == (config.task, config.method)
     }
     return [config.robot, *sorted(others - {config.robot})]
 
@@ -194,6 +195,7 @@ def choice_rate(folder: Path) -> float:
         task=policy.card.task,
         robot=policy.card.robot_config,
         observation=policy.card.observation,
+        cameras=policy.card.cameras,
         episodes=CHOICE_EPISODES,
         purpose=CHOICE,
         backend="native",
@@ -208,7 +210,7 @@ def run_name(key: Key, seed: int) -> str:
 
 
 def _key(config: TrainConfig) -> Key:
-    return config.task, config.robot, config.algo
+    return config.task, config.robot, config.method
 
 
 def _save(results: Sequence[Result], options: Reproduce, stored: Results) -> None:

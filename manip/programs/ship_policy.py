@@ -36,5 +36,5 @@ def _rate_to_beat(card: PolicyCard, stored: Results) -> float:
     """The rate of the shipped policy, if it is of another algorithm; else 0."""
     folder = shipped_policies().get(card.name)
     shipped = load_policy(folder).card if folder else card
-    run = stored.run((shipped.task, shipped.robot, shipped.algo), shipped.seed)
+    run = stored.run((shipped.task, shipped.robot, shipped.method), shipped.seed)
     return choice_or_result(run) if run and shipped.algo != card.algo else 0.0

@@ -10,23 +10,20 @@ from pathlib import Path
 
 import tyro
 
+from manip.agents.policy_card import Observe
 from manip.envs.external_task import ExternalTask
 from manip.envs.task_registry import load_task, load_task_named_by
 from manip.errors import UserError, check_choice
 from manip.programs import cli
 from manip.robot_config import CONTROLLERS, ROBOTS
-from manip.training.config import (
-    TrainConfig,
-    recipe,
-    recorded,
-    scales_other_actions,
-)
+from manip.training.config import TrainConfig, recorded
 from manip.training.initial_policy import starting_from
+from manip.training.recipes import recipe, scales_other_actions
 from manip.training.run import train
 from manip.training.terminal import TerminalProgress
 
 _TEXT_OPTIONS = {
-    *("--task", "--algo", "--robot", "--out", "--wandb", "--init"),
+    *("--task", "--algo", "--robot", "--out", "--wandb", "--init", "--teacher"),
     *("--agent.reference", "--preferences", "--labels.taste"),
 }
 """Options whose value is text and must not be rewritten as a number."""
@@ -44,6 +41,7 @@ class _Start:
     algo: str = "sac"
     robot: str | None = None
     controller: str | None = None
+    observe: str = "state"
     out: Path | None = None
     resume: bool = False
     init: str | None = None
@@ -53,10 +51,8 @@ def main(arguments: Sequence[str]) -> int:
     """Train; 0 when the run finished, 3 when it was stopped and saved before, 75 when
     it was saved and waits for people to compare clips (`manip label`).
     """
-    arguments = list(_with_whole_numbers(arguments))
-    config = cli.parse(TrainConfig, arguments, "manip train", _defaults(arguments))
+    config = config_of(arguments)
     task = load_task(config.task)
-    check_choice("robot", config.robot, ROBOTS)
     with TerminalProgress() as progress:
         if isinstance(task, ExternalTask):
             progress.say(f"manip: {task.notice}")
@@ -66,6 +62,20 @@ def main(arguments: Sequence[str]) -> int:
     if result.waiting:
         return WAITING
     return 0 if result.finished else 3
+
+
+def config_of(arguments: Sequence[str]) -> TrainConfig:
+    """The options of a command line, with the recipe's for those that it leaves out.
+
+    Raises:
+        UserError: an option, a value, a task or a robot that does not exist.
+        SystemExit: after --help.
+    """
+    arguments = list(_with_whole_numbers(arguments))
+    config = cli.parse(TrainConfig, arguments, "manip train", _defaults(arguments))
+    load_task(config.task)
+    check_choice("robot", config.robot, ROBOTS)
+    return config
 
 
 def _with_whole_numbers(arguments: Sequence[str]) -> Iterator[str]:
@@ -104,7 +114,9 @@ def _defaults(arguments: Sequence[str]) -> TrainConfig:
             f"manip: the recipe's action_scale is not used with {start.controller}",
             file=sys.stderr,
         )
-    config = recipe(start.task, start.algo, start.robot, start.controller)
+    observe: Observe = "cameras" if start.observe == "cameras" else "state"
+    chosen = start.task, start.algo, start.robot, start.controller
+    config = recipe(*chosen, observe)
     return config if start.init is None else starting_from(config, start.init)
 
 

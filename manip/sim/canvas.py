@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from manip.errors import UserError
+from manip.sim.names import lookup
 
 Array = np.ndarray
 
@@ -73,3 +74,15 @@ class Canvas:
             self._context.make_current()
             self._drawing.free()
             self._context.free()
+
+
+def camera_view(model: mujoco.MjModel, camera: str) -> mujoco.MjvCamera:
+    """The view of one of the model's cameras.
+
+    Raises:
+        UserError: no such camera; the message lists the cameras that exist.
+    """
+    view = mujoco.MjvCamera()
+    view.type = mujoco.mjtCamera.mjCAMERA_FIXED
+    view.fixedcamid = lookup(model, "camera", camera)
+    return view

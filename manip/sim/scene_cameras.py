@@ -4,6 +4,10 @@ robosuite draws a camera while the last substep of a control step is observed: t
 positions of bodies are those before the last integration (as in the readings), while
 qpos and qvel have been integrated. The positions are found again by integrating
 back over one timestep; at the start of an episode qvel is 0, and nothing changes.
+
+The lean quality leaves out the floor's and the table's reflections (1 % of their
+colour), geoms that lie outside a camera's field of view, and triangles of the arm's
+meshes (see `manip.sim.thin_meshes`).
 """
 
 import weakref
@@ -15,14 +19,15 @@ import mujoco
 import numpy as np
 
 from manip.cameras import CameraConfig, part_name
-from manip.sim.canvas import Canvas
+from manip.sim.canvas import Canvas, camera_view
 from manip.sim.fields import write_slot
+from manip.sim.frustum import Frustum
 from manip.sim.gl import use_backend
 from manip.sim.gl_thread import GLThread, close_later, gl_thread, open_in_gl_thread
-from manip.sim.names import lookup
 from manip.sim.not_copied import NotCopied
 from manip.sim.scene import Scene
 from manip.sim.state_row import state_columns
+from manip.sim.thin_meshes import thin_arm_meshes
 
 Array = np.ndarray
 
@@ -44,13 +49,20 @@ class SceneCameras(NotCopied):
     """
 
     def __init__(self, scene: Scene, cameras: CameraConfig) -> None:
-        self._views = {part_name(n): _view(scene.visual, n) for n in cameras.names}
+        self._views = {
+            part_name(n): camera_view(scene.visual, n) for n in cameras.names
+        }
         use_backend()
         self._scene, self._shape = scene, (cameras.size, cameras.size, 3)
         self._columns = state_columns(scene)
-        self._model = _drawn_model(scene, cameras.size)
+        self._lean = cameras.quality == "lean"
+        self._model = _drawn_model(scene, cameras.size, self._lean)
         self._data = mujoco.MjData(self._model)
         self._options = _stock_options()
+        self._frustums = {
+            name: Frustum(self._model, self._data, view.fixedcamid)
+            for name, view in self._views.items()
+        }
         self._canvas: Canvas | None = None
         self._thread: GLThread | None = None
 
@@ -70,6 +82,8 @@ class SceneCameras(NotCopied):
         if self._canvas is None or self._thread is not thread:
             size = self._shape[0]
             self._canvas = open_in_gl_thread(lambda: Canvas(self._model, size, size))
+            reflection = mujoco.mjtRndFlag.mjRND_REFLECTION
+            self._canvas.scene.flags[reflection] = not self._lean
             self._thread = thread
             weakref.finalize(self, close_later, self._canvas).atexit = False
         return self._canvas
@@ -80,6 +94,8 @@ class SceneCameras(NotCopied):
         for row, state in enumerate(states):
             self._pose(state)
             for name, view in self._views.items():
+                if self._lean:
+                    self._frustums[name].hide_unseen()
                 canvas.draw(self._data, view, self._options, pictures[name][row])
 
     def _pose(self, state: Array) -> None:
@@ -98,17 +114,12 @@ class SceneCameras(NotCopied):
         return self
 
 
-def _view(model: mujoco.MjModel, camera: str) -> mujoco.MjvCamera:
-    view = mujoco.MjvCamera()
-    view.type = mujoco.mjtCamera.mjCAMERA_FIXED
-    view.fixedcamid = lookup(model, "camera", camera)
-    return view
-
-
-def _drawn_model(scene: Scene, size: int) -> mujoco.MjModel:
+def _drawn_model(scene: Scene, size: int, lean: bool) -> mujoco.MjModel:
     """A copy of the stock model as robosuite draws it after a reset."""
     model = copy(scene.visual)
     model.site_rgba[:] = hidden_site_colours(scene.stock)
+    if lean:
+        thin_arm_meshes(model)
     screen = model.vis.global_
     screen.offwidth = screen.offheight = size
     return model

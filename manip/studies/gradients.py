@@ -33,7 +33,8 @@ from manip.errors import UserError
 from manip.studies.bootstrap import Comparison, compare
 from manip.training.build import build_agent, training_envs
 from manip.training.collector import Rollout
-from manip.training.config import TrainConfig, recipe
+from manip.training.config import TrainConfig
+from manip.training.recipes import recipe
 
 NS = (1, 2, 4, 8, 16, 32)
 """Numbers of steps n that are compared."""

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from manip.agents.ppo import PPOConfig
 from manip.errors import UserError
-from manip.training.config import TrainConfig, recipe, recorded
+from manip.training.config import TrainConfig, recorded
+from manip.training.recipes import recipe
 from manip.training.run import train_or_resume
 from manip.training.run_logs import read_metrics
 from manip.training.terminal import TerminalProgress

@@ -4,9 +4,11 @@ from typing import Any
 
 import torch
 
-from manip.agents.agent import Agent, Spaces
+from manip.agents.actor_inputs import seen_parts
+from manip.agents.agent import Agent
+from manip.agents.image_actor import ImageActor
 from manip.agents.networks import RunningNorm, widths_of
-from manip.agents.policy import Policy, load_policy
+from manip.agents.policy import Policy
 from manip.agents.policy_card import PolicyCard
 from manip.agents.ppo_kl import PPOKLConfig
 from manip.agents.registry import load_algorithm
@@ -14,10 +16,12 @@ from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.episode_streams import CHOICE
 from manip.envs.make_batch import make_batch
+from manip.envs.task_batch import TaskBatch
 from manip.errors import UserError
-from manip.observation import check_observation
 from manip.training.config import SCALE, TrainConfig
+from manip.training.inputs import cameras_of, spaces_of
 from manip.training.reward_weights import parse_weights
+from manip.training.teacher import check_teacher, expert_of, fitting_policy
 from manip.versions import versions
 
 
@@ -25,14 +29,10 @@ def training_envs(config: TrainConfig) -> list[TaskEnv]:
     """Build the environments that a run learns from, a group for each worker.
 
     Raises:
-        UserError: experts act in another action space; num_envs does not split evenly
-            over the workers; a rollout does not fit the replay buffer.
+        UserError: there is no expert or teacher for the run; num_envs does not split
+            evenly over the workers; a rollout does not fit the replay buffer.
     """
-    if imitates(config) and config.controller != "OSC_POSE":
-        raise UserError(
-            f"experts give OSC_POSE actions, not {config.controller}: choose another "
-            f"algorithm than {config.algo}"
-        )
+    check_teacher(config)
     workers = config.agent.workers
     if config.num_envs % workers:
         raise UserError(
@@ -54,18 +54,12 @@ def _check_buffer(config: TrainConfig) -> None:
         )
 
 
-def imitates(config: TrainConfig) -> bool:
-    """Whether a run learns from the actions of the task's expert."""
-    return load_algorithm(config.algo).imitates
-
-
 def _training_env(config: TrainConfig, worker: int, workers: int) -> TaskEnv:
     num_envs = config.num_envs // workers
-    env = _env(
+    batch = _batch(
         config,
         num_envs,
-        expert=imitates(config),
-        clips=config.preferences is not None,
+        cameras=cameras_of(config, config.image_quality),
         fidelity=config.fidelity,
         threads=max(1, share_threads(config)[0] // workers),
         horizon=config.horizon,
@@ -75,8 +69,9 @@ def _training_env(config: TrainConfig, worker: int, workers: int) -> TaskEnv:
         stagger=True,
         restart_fraction=config.restart_fraction,
     )
-    env.batch.stop_at_faults = config.faults == "stop"
-    return env
+    batch.stop_at_faults = config.faults == "stop"
+    clips = config.preferences is not None
+    return TaskEnv(batch, expert_of(config, batch), measures=clips, states=clips)
 
 
 def evaluation_env(config: TrainConfig) -> TaskEnv:
@@ -85,21 +80,22 @@ def evaluation_env(config: TrainConfig) -> TaskEnv:
     Their episodes serve to choose the best checkpoint (purpose CHOICE): the run never
     trains on them, and `manip evaluate` reports on others.
     """
-    return _env(config, config.eval_episodes, threads=config.threads, purpose=CHOICE)
+    batch = _batch(
+        config,
+        config.eval_episodes,
+        cameras=cameras_of(config, "exact"),
+        threads=config.threads,
+        purpose=CHOICE,
+    )
+    return TaskEnv(batch)
 
 
-def _env(
-    config: TrainConfig,
-    num_envs: int,
-    expert: bool = False,
-    clips: bool = False,
-    **options: Any,
-) -> TaskEnv:
+def _batch(config: TrainConfig, num_envs: int, **options: Any) -> TaskBatch:
     batch = make_batch(
         config.task, num_envs, robot=config.robot_config, seed=config.seed, **options
     )
     batch.dump_folder = config.folder / "dumps"
-    return TaskEnv(batch, expert, measures=clips, states=clips)
+    return batch
 
 
 def build_agent(config: TrainConfig, env: TaskEnv) -> Agent:
@@ -109,12 +105,10 @@ def build_agent(config: TrainConfig, env: TaskEnv) -> Agent:
         UserError: an option does not fit the environment.
     """
     torch.manual_seed(config.seed)
-    spaces = Spaces(
-        env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]
-    )
+    spaces = spaces_of(config, env)
     _check_scale(config, spaces.action_dim)
     if isinstance(config.agent, PPOKLConfig) and config.agent.reference is not None:
-        _check_reference(config.agent.reference, config, env)
+        fitting_policy(config.agent.reference, config, env.batch)
     algorithm = load_algorithm(config.algo)
     native = algorithm.has_native_gradients
     source = {"gradients": config.gradients} if native else {}
@@ -128,19 +122,6 @@ def _check_scale(config: TrainConfig, action_dim: int) -> None:
             f"agent.action_scale has {len(scale)} numbers, but {config.controller} of "
             f"{config.robot} has actions of {action_dim}: give {action_dim}, or none"
         )
-
-
-def _check_reference(folder: str, config: TrainConfig, env: TaskEnv) -> None:
-    """Raise `UserError` unless a reference has the run's observations and actions."""
-    card = load_policy(folder).card
-    check_observation(card.observation, env.batch.observation_spec)
-    for name in ("robot", "controller", "control_freq"):
-        trained, wanted = getattr(card, name), getattr(config, name)
-        if trained != wanted:
-            raise UserError(
-                f"the policy in {folder} was trained with {name} {trained}, not "
-                f"{wanted}: it is no reference for this run"
-            )
 
 
 def overlaps(config: TrainConfig) -> bool:
@@ -162,6 +143,8 @@ def share_threads(config: TrainConfig) -> tuple[int, int]:
 
 def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Policy:
     """Return the agent's present policy, with all that an evaluator needs."""
+    actor, inputs = agent.actor, spaces_of(config, env).inputs
+    encoders = actor.sizes if isinstance(actor, ImageActor) else None
     card = PolicyCard(
         task=config.task,
         robot=config.robot,
@@ -169,13 +152,16 @@ def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Po
         controller=config.controller,
         control_freq=config.control_freq,
         action_dim=env.action_spec.shape[-1],
-        observation=env.batch.observation_spec.to_dict(),
-        hidden=widths_of(agent.actor.body)[1:-1],
-        squash=agent.actor.squash,
-        bins=agent.actor.bins,
-        normalise=isinstance(agent.actor.norm, RunningNorm),
+        observation=seen_parts(env.batch.observation_spec, inputs).to_dict(),
+        hidden=widths_of(actor.body)[1:-1],
+        squash=actor.squash,
+        bins=actor.bins,
+        normalise=isinstance(actor.norm, RunningNorm),
+        image_channels=list(encoders.channels) if encoders else [],
+        image_features=encoders.features if encoders else 0,
+        image_quality=config.image_quality if encoders else "",
         env_steps=steps,
         seed=config.seed,
         versions=versions(),
     )
-    return Policy(card, agent.actor)
+    return Policy(card, actor)

@@ -1,15 +1,13 @@
-"""Options of a training run, and the recipes that set them for each task."""
+"""Options of a training run; manip.training.recipes has tuned ones."""
 
 import dataclasses
 from dataclasses import dataclass, field
-from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from manip.agents.agent import AgentConfig
+from manip.agents.policy_card import Observe, method_name
 from manip.agents.registry import check_algorithm_origin, load_algorithm
-from manip.envs.task_registry import task_names
 from manip.errors import UserError, shown
 from manip.io.dataclass_values import build
 from manip.io.option_ranges import COUNT, NUMBER, SHARE, Range, check_options
@@ -54,7 +52,7 @@ class TrainConfig:
     """Seed of the environments, the networks and the exploration. The same command with
     the same seed on the same machine gives the same run."""
     out: Path | None = None
-    """Run folder; runs/<task>-<algo>-<seed> unless given."""
+    """Run folder; runs/<task>-<algo>[-cameras]-<seed> unless given."""
     resume: bool = False
     """Continue the run in the run folder from its latest checkpoint."""
     steps: Annotated[int, COUNT] = 100_000
@@ -62,7 +60,7 @@ class TrainConfig:
     num_envs: Annotated[int, COUNT] = 32
     """Number of environments that are stepped in parallel. With more of them, policies
     are updated less often per control step."""
-    observe: Literal["state", "cameras"] = "state"
+    observe: Observe = "state"
     """Observation of the actor. state: all parts of the task's observation; cameras:
     camera images and proprioception, without the poses of objects."""
     cameras: tuple[str, ...] = ("robot0_eye_in_hand",)
@@ -150,67 +148,15 @@ class TrainConfig:
         return RobotConfig(self.robot, self.controller, self.control_freq)
 
     @property
+    def method(self) -> str:
+        """Algorithm and observation, as recipes are named: bc, bc-cameras."""
+        return method_name(self.algo, self.observe)
+
+    @property
     def folder(self) -> Path:
         """The run folder."""
-        name = f"{self.task}-{self.algo}-{self.seed}"
+        name = f"{self.task}-{self.method}-{self.seed}"
         return self.out or Path("runs") / name.replace(":", ".").replace("/", "-")
-
-
-def recipe_names() -> list[str]:
-    """Return the names `<task>-<algo>` of the tuned recipes that are shipped."""
-    paths = (files("manip.assets") / "recipes").iterdir()
-    names = [path.name.removesuffix(".yaml") for path in paths]
-    return sorted(name for name in names if "-" in name)
-
-
-def recipes(robot: str | None = None) -> dict[str, TrainConfig]:
-    """Return the tuned recipes of all installed tasks: name -> options."""
-    tasks = {task.lower(): task for task in task_names()}
-    pairs = {name: name.split("-", 1) for name in recipe_names()}
-    return {
-        name: recipe(tasks[task], algo, robot)
-        for name, (task, algo) in pairs.items()
-        if task in tasks
-    }
-
-
-def recipe(
-    task: str, algo: str, robot: str | None = None, controller: str | None = None
-) -> TrainConfig:
-    """Return the tuned options of a task and an algorithm, or the defaults.
-
-    All tasks of another library share one recipe. A recipe's action_scale is of its own
-    controller, and is left out with another one.
-
-    Args:
-        robot: the arm, if not the recipe's own; a recipe may set other options for it,
-            under `robots`.
-        controller: the action space, if not the recipe's own.
-
-    Raises:
-        UserError: unknown algorithm.
-    """
-    name = task.split("/")[0] if "/" in task else f"{task.lower()}-{algo}"
-    values = dict(_shipped(name))
-    values |= values.pop("robots", {}).get(robot, {})
-    if scales_other_actions(task, algo, controller):
-        values["agent"] = {k: v for k, v in values["agent"].items() if k != SCALE}
-    chosen = {"robot": robot, "controller": controller}
-    values |= {option: value for option, value in chosen.items() if value}
-    return from_dict({"task": task, "algo": algo} | values)
-
-
-def scales_other_actions(task: str, algo: str, controller: str | None) -> bool:
-    """Whether a recipe has an action_scale, but for another controller than this."""
-    values = _shipped(f"{task.lower()}-{algo}")
-    own = values.get("controller", "OSC_POSE")
-    return controller not in (None, own) and SCALE in values.get("agent", {})
-
-
-@cache
-def _shipped(name: str) -> dict[str, Any]:
-    path = files("manip.assets") / "recipes" / f"{name}.yaml"
-    return read_yaml(Path(str(path))) if path.is_file() else {}
 
 
 def to_dict(config: TrainConfig) -> dict[str, Any]:

@@ -98,6 +98,7 @@ def _settings(
         task=task,
         robot=policy.card.robot_config,
         observation=policy.card.observation,
+        cameras=policy.card.cameras,
         episodes=options.episodes,
         seed=options.seed,
         backend=options.env,

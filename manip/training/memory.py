@@ -4,8 +4,10 @@ import os
 import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
+from math import prod
 from pathlib import Path
 
+from manip.agents.agent import Spaces
 from manip.errors import UserError, one_line, out_of_memory
 from manip.training.config import TrainConfig
 
@@ -15,16 +17,18 @@ CGROUP = Path("/sys/fs/cgroup")
 FLOAT_BYTES = 4
 
 
-def check_memory(config: TrainConfig, observation_dim: int, action_dim: int) -> None:
+def check_memory(config: TrainConfig, spaces: Spaces) -> None:
     """Check that the replay buffer fits, before anything is allocated.
 
-    A step needs at least its observation, action and next observation, as float32.
+    A step needs at least its observation, action and next observation, as float32, and
+    its images, as bytes.
 
     Raises:
         UserError: it does not fit.
     """
     capacity = getattr(config.agent, "buffer_size", 0)
-    step = FLOAT_BYTES * (2 * observation_dim + action_dim)
+    step = FLOAT_BYTES * (2 * spaces.observation_dim + spaces.action_dim)
+    step += sum(prod(camera.shape) for camera in spaces.inputs.cameras)
     _compare(capacity * step, address_space(), capacity)
     _compare(min(capacity, config.steps) * step, available_memory(), capacity)
 

@@ -2,7 +2,7 @@
 
 `recipe` gives tuned options, and `train` a `RunResult`:
 
-    from manip.training.config import recipe
+    from manip.training.recipes import recipe
     from manip.training.run import train
 
     result = train(recipe("Lift", "sac"), callback=print)
@@ -66,7 +66,7 @@ def train(
     share that generator and do not repeat bit for bit: use processes.
 
     Args:
-        config: options of the run; `manip.training.config.recipe` gives tuned ones.
+        config: options of the run; `manip.training.recipes.recipe` gives tuned ones.
         callback: called with a `Progress` after every rollout and evaluation, on this
             thread. What it raises ends the run.
         reward: computes the reward that the agent learns from, for each rollout; the
@@ -95,11 +95,14 @@ def train(
 
 
 def train_or_resume(
-    config: TrainConfig, *, callback: Callback | None = None
+    config: TrainConfig,
+    *,
+    callback: Callback | None = None,
+    stop: threading.Event | None = None,
 ) -> RunResult:
     """Train, or resume the run in the folder if there is one."""
     resume = Checkpoints(config.folder).exist()
-    return train(replace(config, resume=resume), callback=callback)
+    return train(replace(config, resume=resume), callback=callback, stop=stop)
 
 
 def _result(trainer: Trainer, finished: bool) -> RunResult:

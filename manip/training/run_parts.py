@@ -13,6 +13,7 @@ from manip.training.config import TrainConfig
 from manip.training.evaluator import Evaluator
 from manip.training.fault_report import FaultReport
 from manip.training.initial_policy import start_agent
+from manip.training.inputs import spaces_of
 from manip.training.memory import check_memory
 from manip.training.nan_guard import NanGuard
 from manip.training.preferences import check_preferences, with_preferences
@@ -57,7 +58,7 @@ def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
     check_preferences(config)
     envs = training_envs(config)
     evaluator = Evaluator(config)
-    _check_memory(config, evaluator.env)
+    check_memory(config, spaces_of(config, evaluator.env))
     agent = build_agent(config, evaluator.env)
     notes = start_agent(config, agent, evaluator.env)
     agent = with_preferences(config, agent, envs[0])
@@ -75,8 +76,3 @@ def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
         faults=FaultReport(envs, guard),
         notes=notes,
     )
-
-
-def _check_memory(config: TrainConfig, env: TaskEnv) -> None:
-    sizes = env.observation_spec["observation"], env.action_spec
-    check_memory(config, *(spec.shape[-1] for spec in sizes))

@@ -16,7 +16,8 @@ Array = np.ndarray
 class TaskEnvironment(dm_env.Environment):
     """One environment of a task.
 
-    An observation is a dict of the task's parts, [k] float32 each. At the time limit
+    An observation is a dict of the task's parts, [k] float32 each, and of cameras'
+    pictures, uint8 [H, W, C]. At the time limit
     the discount is 1, where the task failed it is 0.
 
     Args:
@@ -56,7 +57,7 @@ class TaskEnvironment(dm_env.Environment):
     def observation_spec(self) -> dict[str, specs.Array]:
         """Part name -> its shape and dtype."""
         return {
-            part.name: specs.Array(part.shape, np.float32, part.name)
+            part.name: specs.Array(part.shape, np.dtype(part.dtype), part.name)
             for part in self.batch.observation_spec.parts
         }
 
@@ -67,4 +68,5 @@ class TaskEnvironment(dm_env.Environment):
 
     def _observation(self, time_step: TimeStep) -> dict[str, Array]:
         self.success = bool(time_step.success[0])
-        return self.batch.observation_spec.split(time_step.observation[0])
+        pictures = {name: stack[0] for name, stack in time_step.images.items()}
+        return self.batch.observation_spec.split(time_step.observation[0]) | pictures

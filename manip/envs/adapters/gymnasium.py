@@ -21,6 +21,11 @@ Options of both functions:
     stagger           begin the first episodes at random times (batch engine)
     restart_fraction  fraction of episodes from visited states (batch engine)
     max_episode_steps length of an episode [control steps]; the task's own by default
+    cameras           cameras to observe; the observation is then a dict (see
+                      `manip.envs.adapters.gymnasium_observations`)
+    image_size        height and width of a picture [pixels], 64 by default
+    image_quality     "exact" (robosuite's pictures) or "lean" (cheaper, to train on)
+    frames            number of latest pictures that are stacked, 1 by default
 
 Of `gymnasium.make`, and `make_vec(..., vectorization_mode="sync" | "async")`, only:
 
@@ -39,6 +44,13 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from manip.envs.adapters.gymnasium_observations import (
+    Observation,
+    observation_of,
+    observation_space,
+    observations,
+    with_cameras,
+)
 from manip.envs.make_batch import PANDA, Backend, make_batch, robot_config_of
 from manip.envs.task_batch import TaskBatch
 from manip.envs.task_registry import load_task, task_names
@@ -79,18 +91,19 @@ class TaskVectorEnv(VectorEnv):
         **options: Any,
     ) -> None:
         _check_names(options)
+        options = with_cameras(options)
         self.batch = make_batch(
             task, num_envs, horizon=max_episode_steps, seed=0, **options
         )
         self.num_envs = num_envs
-        self.single_observation_space = _observation_space(self.batch)
+        self.single_observation_space = observation_space(self.batch)
         self.single_action_space = _action_space(self.batch)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Array, dict[str, Any]]:
+    ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode everywhere: the seed's first one if a seed is given."""
         if options and "reset_mask" in options:
             raise UserError(
@@ -100,21 +113,23 @@ class TaskVectorEnv(VectorEnv):
         super().reset(seed=seed)
         _begin(self, seed)
         time_step = self.batch.observe()
-        return time_step.observation, _batched(
+        return observations(self.batch, time_step), _batched(
             _info(time_step), np.ones(self.num_envs, bool)
         )
 
-    def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
+    def step(
+        self, actions: Array
+    ) -> tuple[Observation, Array, Array, Array, dict[str, Any]]:
         """Take actions [N, A]: observations [N, D], rewards and ends [N], and info."""
         time_step = now = self.batch.step(actions)
         ends: dict[str, Any] = {}
         if time_step.done.any():
-            ends = _batched(_final(time_step), time_step.done)
+            ends = _batched(_final(self.batch, time_step), time_step.done)
             self.batch.begin(np.flatnonzero(time_step.done))
             now = self.batch.observe()
         info = _batched(_info(now), np.ones(self.num_envs, bool)) | ends
         return (
-            now.observation,
+            observations(self.batch, now),
             time_step.reward,
             time_step.terminated,
             time_step.truncated,
@@ -148,30 +163,33 @@ class TaskEnv(gymnasium.Env):
         if render_mode is not None:
             check_choice("render mode", render_mode, self.metadata["render_modes"])
         robot = robot_config_of(robot)
+        options = with_cameras(options)
         self.metadata = self.metadata | {"render_fps": robot.control_freq}
         self.batch = make_batch(
             task, backend=backend, robot=robot, horizon=ENDLESS, seed=0, **options
         )
-        self.observation_space = _observation_space(self.batch)
+        self.observation_space = observation_space(self.batch)
         self.action_space = _action_space(self.batch)
         self.render_mode = render_mode
         self._frames: Generator[Array, None, None] | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Array, dict[str, Any]]:
+    ) -> tuple[Observation, dict[str, Any]]:
         """Start the next episode: the seed's first one if a seed is given."""
         super().reset(seed=seed)
         _begin(self, seed)
         self.close()
         time_step = self.batch.observe()
-        return time_step.observation[0], _first(_info(time_step))
+        return observation_of(self.batch, time_step, 0), _first(_info(time_step))
 
-    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+    def step(
+        self, action: Array
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Take an action [A]: observation [D], reward, terminated, truncated, info."""
         time_step = self.batch.step(batch_of_one(action, self.batch.action_dim))
         return (
-            time_step.observation[0],
+            observation_of(self.batch, time_step, 0),
             float(time_step.reward[0]),
             bool(time_step.terminated[0]),
             bool(time_step.truncated[0]),
@@ -205,10 +223,6 @@ def _poses(batch: TaskBatch) -> Iterator[Array]:
         yield batch.read()["qpos"][0]
 
 
-def _observation_space(batch: TaskBatch) -> Box:
-    return Box(-np.inf, np.inf, (batch.observation_spec.dim,), np.float32)
-
-
 def _action_space(batch: TaskBatch) -> Box:
     return Box(-1.0, 1.0, (batch.action_dim,), np.float32)
 
@@ -232,11 +246,11 @@ def _info(time_step: TimeStep) -> dict[str, Any]:
     }
 
 
-def _final(time_step: TimeStep) -> dict[str, Any]:
-    observations = np.full(len(time_step.done), None, object)
+def _final(batch: TaskBatch, time_step: TimeStep) -> dict[str, Any]:
+    last = np.full(len(time_step.done), None, object)
     for env_id in np.flatnonzero(time_step.done):
-        observations[env_id] = time_step.observation[env_id]
-    return {"final_obs": observations, "final_info": _info(time_step)}
+        last[env_id] = observation_of(batch, time_step, int(env_id))
+    return {"final_obs": last, "final_info": _info(time_step)}
 
 
 def _first(info: Mapping[str, Any]) -> dict[str, Any]:

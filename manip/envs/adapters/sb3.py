@@ -11,12 +11,15 @@ from stable_baselines3.common.vec_env import VecEnv
 from manip.errors import UserError
 
 Array = np.ndarray
+Observation = Array | dict[str, Array]
 
 
 class Sb3VecEnv(VecEnv):
     """A VecEnv of a Gymnasium VectorEnv with autoreset in the same step.
 
     `SAC("MlpPolicy", Sb3VecEnv(gymnasium.make_vec("manip/Reach-v0", num_envs=16)))`.
+    With `cameras=...` observations are dicts: choose "MultiInputPolicy", whose
+    convolutions need pictures of at least 36 pixels.
     At the end of an episode `info` holds the keys that Stable-Baselines3 reads:
     `terminal_observation`, `TimeLimit.truncated` and `is_success`.
     """
@@ -33,7 +36,7 @@ class Sb3VecEnv(VecEnv):
             envs.num_envs, envs.single_observation_space, envs.single_action_space
         )
 
-    def reset(self) -> Array:
+    def reset(self) -> Observation:
         """Start an episode in every environment; observations [N, D]."""
         observation, _ = self.envs.reset(seed=self._seeds[0])
         self._reset_seeds()
@@ -43,7 +46,7 @@ class Sb3VecEnv(VecEnv):
         """Store the actions [N, A] for `step_wait`."""
         self._actions = actions
 
-    def step_wait(self) -> tuple[Array, Array, Array, list[dict[str, Any]]]:
+    def step_wait(self) -> tuple[Observation, Array, Array, list[dict[str, Any]]]:
         """Take the actions: observations [N, D], rewards [N], done [N], infos."""
         observation, reward, terminated, truncated, info = self.envs.step(self._actions)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]

@@ -13,11 +13,12 @@ Keys, with N environments:
     milestones     [N, M] bool, named as `batch.task.milestone_names`
     <camera>_image [N, H, W, C] uint8, a key for each camera
     measures       [N, V] float32, named as `batch.measure_names`, if requested
-    expert_action  [N, A] float32, the action of the task's expert, if requested
+    expert_action  [N, A] float32, the action of the task's expert or of a given
+                   policy in this state, if requested
     states, ...    what `batch.record` returns, if requested
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -31,13 +32,17 @@ from manip.envs.time_step import TimeStep
 
 Array = np.ndarray
 
+Expert = Callable[[Mapping[str, torch.Tensor]], torch.Tensor]
+"""Observation parts, name -> [N, ...], to action [N, A]."""
+
 
 class TaskEnv(EnvBase):
     """TorchRL environment of a task batch.
 
     Args:
         batch: the environments.
-        expert: whether each step gives the action of the task's expert, too.
+        expert: whether each step gives the action of the task's expert, too; or the
+            policy whose action it gives instead.
         measures: whether it gives the task's visible measures, too.
         states: whether it gives what `batch.record` returns, too.
 
@@ -50,7 +55,7 @@ class TaskEnv(EnvBase):
     def __init__(
         self,
         batch: TaskBatch,
-        expert: bool = False,
+        expert: bool | Expert = False,
         measures: bool = False,
         states: bool = False,
     ) -> None:
@@ -132,10 +137,15 @@ class TaskEnv(EnvBase):
         if self._states:
             recorded = self.batch.record().items()
             tensors |= {name: torch.from_numpy(rows) for name, rows in recorded}
+        state = TensorDict(tensors, self.batch_size)
         if self._expert:
-            expert = self.batch.expert().astype(np.float32)
-            tensors["expert_action"] = torch.from_numpy(expert)
-        return TensorDict(tensors, self.batch_size)
+            state["expert_action"] = self._expert_action(state)
+        return state
+
+    def _expert_action(self, state: TensorDictBase) -> torch.Tensor:
+        if callable(self._expert):
+            return self._expert(self.parts(state))
+        return torch.from_numpy(self.batch.expert().astype(np.float32))
 
     def _set_seed(self, seed: int | None) -> None:
         self.batch.restart(seed or 0)

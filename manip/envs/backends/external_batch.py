@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from manip.cameras import CameraConfig, check_cameras
 from manip.cpus import usable_cpus
 from manip.envs.backends.worker_pool import WorkerPool
 from manip.envs.episode_options import EpisodeOptions
@@ -72,7 +73,8 @@ class ExternalBatch(NotCopied, TaskBatch):
         task.module().check_robot_config(robot)
         processes = min(threads or usable_cpus(), num_envs)
         episodes = EpisodeOptions(**({"reward": "stock"} | options))
-        make = partial(_open, task, robot, hard_reset, episodes)
+        cameras = check_cameras(episodes.cameras)
+        make = partial(_open, task, robot, hard_reset, cameras, episodes)
         with exits_blamed(task):
             self._pool = WorkerPool(make, num_envs, processes)
             first: ExternalStep = self._pool.call("start", {0: (0,)})[0]
@@ -97,6 +99,12 @@ class ExternalBatch(NotCopied, TaskBatch):
         raise UserError(
             f"{self.task.name} is stepped by {self.task.library} and cannot be rendered"
         )
+
+    def _draw(self, env_ids: Array) -> Measures:
+        """The pictures of the latest steps."""
+        steps = [self._steps[env_id] for env_id in env_ids]
+        names = [part.name for part in self.cameras.parts]
+        return {name: np.stack([s.pictures[name] for s in steps]) for name in names}
 
     def episode_seed(self, env_id: int) -> int:
         """The seed of an environment's present episode, below 2^32."""
@@ -173,6 +181,7 @@ def _open(
     task: ExternalTask,
     robot: RobotConfig,
     hard_reset: bool,
+    cameras: CameraConfig,
     episodes: EpisodeOptions,
     env_id: int,
 ) -> ExternalSim:
@@ -180,6 +189,6 @@ def _open(
     number = episodes.first_env + env_id
     seed = build_seed(episodes.seed, episodes.purpose, number)
     opened: ExternalSim = task.module().open_sim(
-        task.environment, robot, seed, hard_reset
+        task.environment, robot, seed, hard_reset, cameras
     )
     return opened

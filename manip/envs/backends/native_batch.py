@@ -94,7 +94,7 @@ class NativeBatch(DeepCopied, TaskBatch):
         self._restarts = (
             RestartBuffer(milestones, self.engine.save()) if restart_fraction else None
         )
-        self._robot, self._fidelity = robot, fidelity
+        self.robot, self.fidelity = robot, fidelity
         cameras = check_cameras(episodes.cameras)
         self._drawn = SceneCameras(self.scene, cameras) if cameras.names else None
         action_dim = self.scene.layout.action_dim
@@ -167,8 +167,8 @@ class NativeBatch(DeepCopied, TaskBatch):
         step = {
             "fault": fault._asdict(),
             "task": f"{type(self.task).__module__}:{type(self.task).__qualname__}",
-            "robot": self._robot._asdict(),
-            "fidelity": self._fidelity,
+            "robot": self.robot._asdict(),
+            "fidelity": self.fidelity,
             "reward": self.reward_set,
             "reward_weights": self.reward_weights,
             "state": before.states[fault.env_id],

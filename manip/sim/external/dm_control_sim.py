@@ -5,10 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from manip.cameras import CameraConfig
 from manip.errors import check_choice
 from manip.robot_config import RobotConfig
 from manip.sim.external.external_sim import ExternalSim, ExternalStep
 from manip.sim.gl import keep_mujoco_gl
+from manip.sim.physics_cameras import PhysicsCameras
 from manip.sim.robosuite_log import quiet
 
 with keep_mujoco_gl("off"):  # else dm_control looks for a window system
@@ -41,12 +43,18 @@ class DmControlSim(ExternalSim):
     """A Jaco arm; reward in [0, 1] is dm_control's, success is a reward of 1."""
 
     def __init__(
-        self, name: str, robot: RobotConfig, seed: int, hard_reset: bool
+        self,
+        name: str,
+        robot: RobotConfig,
+        seed: int,
+        hard_reset: bool,
+        cameras: CameraConfig,
     ) -> None:
         # Without dm_control's own time limit; it compiles the model at every reset.
         self._env = composer.Environment(manipulation.load(name).task)
         spec = self._env.action_spec()
         self._low, self._range = spec.minimum, spec.maximum - spec.minimum
+        self._pictures = PhysicsCameras(cameras)
 
     def action_dim(self) -> int:
         """Six joints and three fingers."""
@@ -73,7 +81,9 @@ class DmControlSim(ExternalSim):
         self, observation: Mapping[str, Any], reward: float, over: bool
     ) -> ExternalStep:
         parts = {name: np.ravel(values) for name, values in observation.items()}
-        return ExternalStep(parts, reward, reward >= SOLVED, over)
+        physics = self._env.physics
+        pictures = self._pictures.draw(physics.model.ptr, physics.data.ptr)
+        return ExternalStep(parts, reward, reward >= SOLVED, over, pictures)
 
 
 open_sim = DmControlSim

@@ -12,12 +12,19 @@ Array = np.ndarray
 
 
 class ExternalStep(NamedTuple):
-    """What one environment returns: named observation parts [k], reward and flags."""
+    """What one environment returns.
+
+    Attributes:
+        parts: name -> [k], the observation.
+        reward, success, terminated: the library's own.
+        pictures: camera part -> uint8 [H, W, 3], bottom row first.
+    """
 
     parts: Mapping[str, Array]
     reward: float
     success: bool
     terminated: bool
+    pictures: Mapping[str, Array] = {}
 
 
 class ExternalSim(NotCopied, ABC):

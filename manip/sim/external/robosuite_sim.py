@@ -5,10 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from manip.cameras import CameraConfig
 from manip.robot_config import RobotConfig, check_robot_config
 from manip.sim.external.external_sim import ExternalSim, ExternalStep
-from manip.sim.robosuite_factory import environment_names, make_stock, reseed
+from manip.sim.robosuite_factory import environment_names, reseed
 from manip.sim.robosuite_log import quiet
+from manip.sim.stock_driver import open_stock
 
 Array = np.ndarray
 
@@ -26,9 +28,16 @@ class RobosuiteSim(ExternalSim):
     """
 
     def __init__(
-        self, name: str, robot: RobotConfig, seed: int, hard_reset: bool
+        self,
+        name: str,
+        robot: RobotConfig,
+        seed: int,
+        hard_reset: bool,
+        cameras: CameraConfig,
     ) -> None:
-        self._stock = make_stock(name, robot, seed, hard_reset=hard_reset)
+        self._driver = open_stock(name, robot, seed, cameras, hard_reset=hard_reset)
+        self._stock = self._driver.stock
+        self._pictured = [part.name for part in cameras.parts]
 
     def action_dim(self) -> int:
         """Length of an action of all its arms and grippers."""
@@ -38,12 +47,13 @@ class RobosuiteSim(ExternalSim):
         """Restart the environment's random stream and reset it."""
         reseed(self._stock, seed)
         with quiet():  # a hard reset builds the robot again
-            observation = self._stock.reset()
+            observation = self._driver.run(self._stock.reset)
         return self._external_step(observation, 0.0, False)
 
     def step(self, action: Array) -> ExternalStep | None:
         """Take an action; None if an observation is not finite afterwards."""
-        observation, reward, over, _ = self._stock.step(action.astype(np.float64))
+        taken = action.astype(np.float64)
+        observation, reward, over, _ = self._driver.run(lambda: self._stock.step(taken))
         step = self._external_step(observation, float(reward), over)
         finite = all(np.isfinite(part).all() for part in step.parts.values())
         return step if finite else None
@@ -56,9 +66,12 @@ class RobosuiteSim(ExternalSim):
             for name, observable in self._stock._observables.items()
             if observable.is_enabled()
             and observable.is_active()
+            and observable.modality != "image"
             and not name.endswith("joint_acc")
         }
-        return ExternalStep(parts, reward, bool(self._stock._check_success()), over)
+        pictures = {name: observation[name] for name in self._pictured}
+        success = bool(self._stock._check_success())
+        return ExternalStep(parts, reward, success, over, pictures)
 
 
 open_sim = RobosuiteSim

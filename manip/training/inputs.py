@@ -1,0 +1,39 @@
+"""What a run's actor sees: the state, or camera images and proprioception."""
+
+from manip.agents.actor_inputs import camera_inputs
+from manip.agents.agent import Spaces
+from manip.agents.registry import algorithm_names, load_algorithm
+from manip.cameras import CameraConfig, Quality
+from manip.envs.adapters.torchrl import TaskEnv
+from manip.errors import UserError
+from manip.training.config import TrainConfig
+
+
+def cameras_of(config: TrainConfig, quality: Quality) -> CameraConfig | None:
+    """Cameras of a run's environments; None if the actor sees the state.
+
+    Raises:
+        UserError: no camera is named, or the algorithm takes no images.
+    """
+    if config.observe == "state":
+        return None
+    if not config.cameras:
+        raise UserError("--observe cameras needs one camera or more: set --cameras")
+    if not load_algorithm(config.algo).sees_images:
+        able = [name for name in algorithm_names() if load_algorithm(name).sees_images]
+        raise UserError(
+            f"{config.algo} does not learn from cameras: choose one of "
+            f"{', '.join(able)}, or --observe state"
+        )
+    return CameraConfig(config.cameras, config.image_size, quality, config.frames)
+
+
+def spaces_of(config: TrainConfig, env: TaskEnv) -> Spaces:
+    """Sizes of the networks, and what the actor sees of the environment."""
+    return Spaces(
+        env.observation_spec["observation"].shape[-1],
+        env.action_spec.shape[-1],
+        None
+        if config.observe == "state"
+        else camera_inputs(env.batch.observation_spec),
+    )

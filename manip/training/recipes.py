@@ -1,0 +1,87 @@
+"""Tuned options of runs, by task and algorithm: the files in assets/recipes."""
+
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from manip.agents.policy_card import CAMERAS, Observe
+from manip.envs.task_registry import task_names
+from manip.io.yaml_files import read_yaml
+from manip.training.config import SCALE, TrainConfig, from_dict
+
+
+def recipe_names() -> list[str]:
+    """Return the names `<task>-<algo>[-cameras]` of the recipes that are shipped."""
+    paths = (files("manip.assets") / "recipes").iterdir()
+    names = [path.name.removesuffix(".yaml") for path in paths]
+    return sorted(name for name in names if "-" in name)
+
+
+def recipe_choice(name: str) -> tuple[str, str, Observe]:
+    """Split a recipe's name: task in lower case, algorithm, observation."""
+    task, method = name.split("-", 1)
+    algo = method.removesuffix(CAMERAS)
+    return task, algo, "state" if algo == method else "cameras"
+
+
+def recipes(robot: str | None = None) -> dict[str, TrainConfig]:
+    """Return the tuned recipes of all installed tasks: name -> options."""
+    tasks = {task.lower(): task for task in task_names()}
+    choices = {name: recipe_choice(name) for name in recipe_names()}
+    return {
+        name: recipe(tasks[task], algo, robot, observe=observe)
+        for name, (task, algo, observe) in choices.items()
+        if task in tasks
+    }
+
+
+def recipe(
+    task: str,
+    algo: str,
+    robot: str | None = None,
+    controller: str | None = None,
+    observe: Observe = "state",
+) -> TrainConfig:
+    """Return the tuned options of a task and an algorithm, or the defaults.
+
+    All tasks of another library share one recipe, and so do all tasks without a recipe
+    of their own for cameras. A recipe's action_scale is of its own
+    controller, and is left out with another one.
+
+    Args:
+        robot: the arm, if not the recipe's own; a recipe may set other options for it,
+            under `robots`.
+        controller: the action space, if not the recipe's own.
+        observe: what the actor sees; see `TrainConfig`.
+
+    Raises:
+        UserError: unknown algorithm.
+    """
+    values = dict(_values(task, algo, observe))
+    values |= values.pop("robots", {}).get(robot, {})
+    if scales_other_actions(task, algo, controller):
+        values["agent"] = {k: v for k, v in values["agent"].items() if k != SCALE}
+    chosen = {"robot": robot, "controller": controller}
+    values |= {option: value for option, value in chosen.items() if value}
+    return from_dict({"task": task, "algo": algo, "observe": observe} | values)
+
+
+def scales_other_actions(task: str, algo: str, controller: str | None) -> bool:
+    """Whether a recipe has an action_scale, but for another controller than this."""
+    values = _shipped(f"{task.lower()}-{algo}")
+    own = values.get("controller", "OSC_POSE")
+    return controller not in (None, own) and SCALE in values.get("agent", {})
+
+
+def _values(task: str, algo: str, observe: Observe) -> dict[str, Any]:
+    """The options in the file of a recipe; none if there is no such file."""
+    if observe == "cameras":
+        return _shipped(f"{task.lower()}-{algo}{CAMERAS}") or _shipped("cameras")
+    return _shipped(task.split("/")[0] if "/" in task else f"{task.lower()}-{algo}")
+
+
+@cache
+def _shipped(name: str) -> dict[str, Any]:
+    path = files("manip.assets") / "recipes" / f"{name}.yaml"
+    return read_yaml(Path(str(path))) if path.is_file() else {}

@@ -1,0 +1,57 @@
+"""What a run imitates: the task's expert, or a trained policy."""
+
+from manip.agents.policy import Policy, load_policy
+from manip.agents.registry import load_algorithm
+from manip.envs.task_batch import TaskBatch
+from manip.errors import UserError
+from manip.observation import check_observation
+from manip.training.config import TrainConfig
+
+
+def imitates(config: TrainConfig) -> bool:
+    """Whether a run learns from the actions of an expert or a teacher."""
+    return load_algorithm(config.algo).imitates
+
+
+def check_teacher(config: TrainConfig) -> None:
+    """Check that a run has an expert or a teacher, if it imitates.
+
+    Raises:
+        UserError: experts act in another action space; the algorithm does not imitate.
+    """
+    if config.teacher is None and imitates(config) and config.controller != "OSC_POSE":
+        raise UserError(
+            f"experts give OSC_POSE actions, not {config.controller}: choose another "
+            f"algorithm than {config.algo}, or a trained policy by --teacher"
+        )
+    if config.teacher is not None and not imitates(config):
+        raise UserError(f"{config.algo} imitates no --teacher: choose --algo bc")
+
+
+def expert_of(config: TrainConfig, batch: TaskBatch) -> Policy | bool:
+    """What labels a run's steps: a policy, the task's expert (True), or none (False).
+
+    Raises:
+        UserError: there is no such policy, or it does not fit the run.
+    """
+    if config.teacher is None:
+        return imitates(config)
+    return fitting_policy(config.teacher, config, batch)
+
+
+def fitting_policy(where: str, config: TrainConfig, batch: TaskBatch) -> Policy:
+    """Load a policy that has a run's observations and actions.
+
+    Raises:
+        UserError: there is none, or it is of another robot, controller or observation.
+    """
+    policy = load_policy(where)
+    check_observation(policy.card.observation, batch.observation_spec)
+    for name in ("robot", "controller", "control_freq"):
+        trained, wanted = getattr(policy.card, name), getattr(config, name)
+        if trained != wanted:
+            raise UserError(
+                f"the policy in {where} was trained with {name} {trained}, not "
+                f"{wanted}: it does not fit this run"
+            )
+    return policy

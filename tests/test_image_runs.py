@@ -1,0 +1,159 @@
+"""Runs whose actor sees cameras: end to end, resumed, from a teacher, refused."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from training_runs import assert_equal_runs, new_trainer, stop_after
+
+from manip.agents.networks import Actor
+from manip.agents.policy import Policy, load_policy
+from manip.agents.policy_card import PolicyCard
+from manip.cameras import CameraConfig
+from manip.errors import UserError
+from manip.training.build import evaluation_env, training_envs
+from manip.training.config import TrainConfig, from_dict
+from manip.training.inputs import spaces_of
+from manip.training.memory import check_memory
+
+TASK = "tiny:Tiny"
+"""Its episodes last 8 control steps."""
+
+
+def teacher_in(folder: Path, **changes: Any) -> Policy:
+    """Save a policy with random weights that sees Tiny's state."""
+    torch.manual_seed(1)
+    card = PolicyCard(
+        task=TASK,
+        robot="Panda",
+        algo="sac",
+        controller="OSC_POSE",
+        control_freq=20,
+        action_dim=7,
+        observation=[
+            {
+                "name": name,
+                "shape": [width],
+                "dtype": "float32",
+                "role": "proprioception",
+            }
+            for name, width in (("closing", 1), ("joint_pos", 7))
+        ],
+        hidden=[16],
+        squash=True,
+        normalise=False,
+        env_steps=0,
+        seed=0,
+        versions={},
+    )
+    policy = Policy(replace(card, **changes), Actor(8, 7, [16], True, False))
+    policy.save(folder)
+    return policy
+
+
+def options(folder: Path, **changes: Any) -> TrainConfig:
+    agent = {
+        "rollout_length": 4,
+        "batch_size": 16,
+        "buffer_size": 48,
+        "actor_hidden": [16],
+        "image_channels": [4, 8],
+        "image_features": 8,
+        "image_shift": 1,
+    }
+    values = {
+        "task": TASK,
+        "algo": "bc",
+        "observe": "cameras",
+        "image_size": 16,
+        "frames": 2,
+        "teacher": str(folder / "teacher"),
+        "out": str(folder / "run"),
+        "steps": 64,
+        "num_envs": 4,
+        "threads": 2,
+        "cool_down": 0.5,
+        "eval_every": 32,
+        "eval_episodes": 2,
+        "agent": agent,
+    }
+    return from_dict(values | changes)
+
+
+def test_a_run_from_cameras_resumes_bit_for_bit_and_its_policy_is_usable(
+    tmp_path: Path,
+) -> None:
+    teacher_in(tmp_path / "teacher")
+    config = options(tmp_path)
+    whole = new_trainer(config)
+    assert whole.run()
+    assert whole.state.learned.keys() == {"loss_actor", "loss_prediction"}
+    again = replace(config, out=tmp_path / "again")
+    stopped = new_trainer(again)
+    stop_after(stopped, 2)
+    assert not stopped.run()
+    assert new_trainer(replace(again, resume=True)).run()
+    assert_equal_runs(config.folder, again.folder)
+    card = load_policy(config.folder).card
+    assert card.cameras == CameraConfig(("robot0_eye_in_hand",), 16, "exact", 2)
+    assert card.observation_spec.names == ("joint_pos", "robot0_eye_in_hand_image")
+    assert card.image_quality == "lean"
+
+
+def test_a_teacher_labels_every_state_with_its_own_action(tmp_path: Path) -> None:
+    teacher = teacher_in(tmp_path / "teacher")
+    (env,) = training_envs(options(tmp_path, observe="state"))
+    state = env.reset()
+    for _ in range(3):
+        expected = teacher(env.parts(state))
+        assert torch.equal(state["expert_action"], expected)
+        state["action"] = -expected
+        _, state = env.step_and_maybe_reset(state)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"teacher": "no such folder"}, "holds no policy"),
+        ({"algo": "sac", "agent": {}}, "sac imitates no --teacher"),
+        ({"robot": "Jaco"}, "trained with robot Panda, not Jaco"),
+        ({"control_freq": 10}, "trained with control_freq 20, not 10"),
+        ({"task": "Lift"}, "on another observation .* closing is missing"),
+    ],
+)
+def test_a_teacher_that_does_not_fit_is_refused(changes, message, tmp_path) -> None:
+    teacher_in(tmp_path / "teacher")
+    with pytest.raises(UserError, match=message):
+        training_envs(options(tmp_path, observe="state", **changes))
+
+
+def test_a_teacher_of_another_action_space_is_imitated_in_it(tmp_path: Path) -> None:
+    teacher_in(tmp_path / "teacher", controller="JOINT_POSITION")
+    config = options(tmp_path, observe="state", controller="JOINT_POSITION")
+    assert training_envs(config)
+    with pytest.raises(UserError, match=r"JOINT_POSITION: .*trained policy by --teach"):
+        training_envs(replace(config, teacher=None))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"cameras": []}, "needs one camera or more: set --cameras"),
+        ({"cameras": ["wrist"]}, "camera 'wrist'"),
+        ({"algo": "td3", "agent": {}}, "td3 does not learn from cameras: .* bc"),
+    ],
+)
+def test_cameras_that_a_run_cannot_see_are_refused(changes, message, tmp_path) -> None:
+    with pytest.raises(UserError, match=message):
+        training_envs(options(tmp_path, **{"teacher": None} | changes))
+
+
+def test_images_count_in_the_memory_that_a_run_needs(tmp_path: Path) -> None:
+    agent = {"buffer_size": 10**6}
+    config = options(tmp_path, teacher=None, steps=10**6, image_size=512, agent=agent)
+    spaces = spaces_of(config, evaluation_env(config))
+    check_memory(config, replace(spaces, actor=None))
+    with pytest.raises(UserError, match=r"1,000,000 steps needs at least 1,46\d"):
+        check_memory(config, spaces)
