@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torch import Tensor, nn
+from torch import nn
 from torchrl.modules import IndependentNormal
 
 from manip.agents.agent import Agent, AgentConfig, Spaces
@@ -30,9 +30,9 @@ from manip.io.option_ranges import COUNT, NUMBER, SHARE
 class GaussianBCConfig(AgentConfig):
     """Options of behaviour cloning by likelihood."""
 
-    haste: Annotated[tuple[float, ...], SHARE] = (0.3, 1.0)
+    haste: Annotated[tuple[float, ...], SHARE] = (0.5, 1.0)
     """Least and greatest factor of the expert's motion: less moves slower."""
-    wrist: Annotated[float, SHARE] = 0.3
+    wrist: Annotated[float, SHARE] = 0.03
     """Standard deviation of the additional turn of the hand, a fraction of the range of
     the rotations."""
     noise: Annotated[float, NUMBER] = 0.1

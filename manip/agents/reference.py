@@ -1,4 +1,4 @@
-"""Start an actor from the policy that an algorithm shall stay close to (`reference`)."""
+"""Start an actor from the policy that it shall stay close to (its reference)."""
 
 from manip.agents.networks import Actor
 from manip.agents.on_policy import OnPolicy

@@ -17,7 +17,7 @@ AFTER_KEYS = ("measures", "reward_terms")
 """Keys of what follows a step, kept for each step."""
 
 START_KEYS = ("states", "readings", "motion", "elapsed", "episode")
-"""Keys of a step that a clip keeps for its first one: what `TaskBatch.record` returns."""
+"""Keys of a step that a clip keeps for its first one (see `TaskBatch.record`)."""
 
 
 class ClipPool:

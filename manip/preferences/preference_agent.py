@@ -34,9 +34,7 @@ class PreferenceAgent(Agent):
     name = "preferences"
     Config = AgentConfig
 
-    def __init__(  # type: ignore[override]
-        self, agent: Agent, pool: ClipPool, rounds: Rounds
-    ) -> None:
+    def __init__(self, agent: Agent, pool: ClipPool, rounds: Rounds) -> None:
         self._agent, self._pool, self._rounds = agent, pool, rounds
         self.actor, self.rollout_length = agent.actor, agent.rollout_length
         self._steps = self._round = 0

@@ -38,15 +38,20 @@ class ClipReader:
         """The clips of all answers that were not skipped.
 
         Raises:
-            UserError: a clip is of another task, arm, length or other measures.
+            UserError: there are none, or a clip is of another task, arm, length or
+                other measures.
         """
         answers = [answer for answer in answers if answer.answer in TARGETS]
-        sides = [
-            torch.stack([self._clip(getattr(a, side))[inputs] for a in answers])
-            for side in ("left", "right")
-        ]
-        target = torch.tensor([TARGETS[answer.answer] for answer in answers])
-        return ComparedClips(*sides, target)
+        if not answers:
+            raise UserError(
+                f"{self._folder} holds no answer but skipped pairs: there is nothing "
+                "to learn a reward from"
+            )
+        return ComparedClips(
+            left=torch.stack([self._clip(a.left)[inputs] for a in answers]),
+            right=torch.stack([self._clip(a.right)[inputs] for a in answers]),
+            target=torch.tensor([TARGETS[answer.answer] for answer in answers]),
+        )
 
     def _clip(self, clip_id: str) -> dict[Inputs, Tensor]:
         if clip_id not in self._steps:

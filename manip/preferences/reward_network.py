@@ -11,6 +11,7 @@ no comparison was about.
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -52,7 +53,7 @@ class RewardNetwork(nn.Module):
         self.register_buffer("scale", torch.tensor(1.0))
         widths = [inputs, *hidden, 1]
         self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
-        for before, after in zip(widths, widths[1:], strict=False):
+        for before, after in pairwise(widths):
             for part, rows in ((self.weights, before), (self.biases, 1)):
                 unit = torch.rand(members, rows, after, generator=generator)
                 part.append(nn.Parameter((2 * unit - 1) * before**-0.5))

@@ -11,14 +11,15 @@ from manip.errors import UserError
 from manip.preferences.clip_pool import ClipPool, clip_of
 from manip.preferences.clip_source import ClipSource
 from manip.preferences.clips import Clip, load_clip, save_clip
+from manip.preferences.comparison_record import Answer
 from manip.preferences.label_folder import LabelFolder
 from manip.preferences.label_options import LabelOptions
 from manip.preferences.queries import Pairs, choose_pairs
 from manip.preferences.reward_learning import ClipReader, generator_of, learn_reward
 from manip.preferences.reward_model import FILE, RewardModel, clip_inputs
 
-Labeller = Callable[[Clip, Clip], str]
-"""Answers "left", "right", "equal" or "skip" for a left and a right clip."""
+Labeller = Callable[[Clip, Clip], Answer]
+"""Says which of a left and a right clip is better."""
 
 
 @dataclass
@@ -108,9 +109,9 @@ class Rounds:
                 f"there are only {len(clips)} clips to compare: raise --labels.start "
                 "or --labels.every, or lower --labels.clip-steps"
             )
-        rows = self._choose(number, count, clips).tolist()
-        ids = {row: self._save(clips[row], number) for row in {*sum(rows, [])}}
-        self.folder.ask(number, [(ids[left], ids[right]) for left, right in rows])
+        pairs = self._choose(number, count, clips)
+        ids = {row: self._save(clips[row], number) for row in pairs.unique().tolist()}
+        self.folder.ask(number, [(ids[a], ids[b]) for a, b in pairs.tolist()])
 
     def _choose(self, number: int, count: int, clips: TensorDictBase) -> Pairs:
         options = self.options

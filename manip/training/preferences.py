@@ -3,8 +3,6 @@
 import hashlib
 import json
 
-import numpy as np
-
 from manip.agents.agent import Agent
 from manip.agents.registry import load_algorithm
 from manip.envs.adapters.torchrl import TaskEnv
@@ -12,12 +10,13 @@ from manip.errors import UserError
 from manip.preferences.clip_pool import ClipPool
 from manip.preferences.clip_source import ClipSource
 from manip.preferences.label_folder import LabelFolder
-from manip.preferences.labellers import make_labeller
+from manip.preferences.labellers import TasteCriterion, make_labeller
 from manip.preferences.preference_agent import PreferenceAgent
 from manip.preferences.reward_learning import generator_of
 from manip.preferences.reward_model import RewardCard, RewardModel, input_names
 from manip.preferences.reward_network import RewardNetwork
 from manip.preferences.rounds import Labeller, Rounds
+from manip.preferences.tastes import load_taste
 from manip.training.config import TrainConfig, lasting
 
 HIDDEN = [64, 64]
@@ -87,8 +86,9 @@ def _labeller(config: TrainConfig) -> Labeller | None:
     options = config.labels
     if options.labeller == "people":
         return None
-    labeller = make_labeller(options.labeller, config.task, options.taste, options.seed)
-    return labeller.answer
+    taste = load_taste(config.task, options.taste) if options.taste else None
+    criterion = TasteCriterion(taste)
+    return make_labeller(options.labeller, criterion, options.seed, options.mistakes)
 
 
 def _untrained(config: TrainConfig, env: TaskEnv) -> RewardModel:
