@@ -37,6 +37,11 @@ def check_preferences(config: TrainConfig) -> None:
                 "with --preferences"
             )
         return
+    if getattr(config.agent, "reference", "") is None and algorithm.prefers:
+        raise UserError(
+            f"{config.algo} changes a policy that was trained before: name it with "
+            "--agent.reference"
+        )
     if algorithm.imitates:
         raise UserError(
             f"{config.algo} learns from actions, not from a reward: --preferences has "
