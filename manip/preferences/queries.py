@@ -54,4 +54,12 @@ def choose_pairs(
         return random_pairs(len(inputs), count, generator)
     pairs = random_pairs(len(inputs), candidates * count, generator)
     order = disagreement(network, inputs, pairs).argsort(descending=True, stable=True)
-    return pairs[order[:count]]
+    return _without_repeats(pairs[order])[:count]
+
+
+def _without_repeats(pairs: Pairs) -> Pairs:
+    """The pairs, each of two clips once, on whichever side they are."""
+    first = {
+        frozenset(pair): row for row, pair in reversed([*enumerate(pairs.tolist())])
+    }
+    return pairs[sorted(first.values())]
