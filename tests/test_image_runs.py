@@ -71,12 +71,12 @@ def options(folder: Path, **changes: Any) -> TrainConfig:
         "frames": 2,
         "teacher": str(folder / "teacher"),
         "out": str(folder / "run"),
-        "steps": 64,
+        "steps": 48,
         "num_envs": 4,
         "threads": 2,
         "cool_down": 0.5,
         "eval_every": 32,
-        "eval_episodes": 2,
+        "eval_episodes": 1,
         "agent": agent,
     }
     return from_dict(values | changes)

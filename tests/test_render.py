@@ -15,6 +15,7 @@ from PIL import Image
 
 from manip.errors import UserError
 from manip.io.video import Caption, draw_caption, save_animation
+from manip.programs.render import beside
 from manip.sim import gl
 from manip.sim.renderer import camera_names, hide_decorations, render_frames
 from manip.sim.robosuite_factory import make_stock
@@ -196,3 +197,15 @@ def test_an_imported_mujoco_switches_backend(monkeypatch: pytest.MonkeyPatch) ->
     backend = gl.use_backend()
     assert os.environ["MUJOCO_GL"] == backend
     assert gl_context.GLContext.__module__ == f"mujoco.{backend}"
+
+
+def test_the_images_of_a_policy_stand_beside_a_frame_the_right_way_up() -> None:
+    frame = np.full((6, 4, 3), 7, np.uint8)
+    upper, lower = (np.zeros((3, 3, 6), np.uint8) for _ in range(2))
+    upper[0, :, -3:] = 100  # the first row of an image is its bottom
+    lower[..., :3] = 200  # of an earlier image
+    shown = beside(frame, [upper, lower])
+    assert shown.shape == (6, 7, 3)
+    assert (shown[:, :4] == 7).all()
+    assert (shown[2, 4:] == 100).all()
+    assert (shown[[0, 1, 3, 4, 5], 4:] == 0).all()

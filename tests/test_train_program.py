@@ -166,13 +166,13 @@ def test_a_buffer_that_does_not_fit_is_refused_before_it_is_made(monkeypatch) ->
     monkeypatch.setattr(resource, "getrlimit", lambda _: (2**32, 2**32))
     with pytest.raises(UserError, match=r"20,000,000 steps needs at least 6.5 GiB.*"):
         check_memory(large, Spaces(40, 7))
-    check_memory(recipe("Lift", "ppo"), 40, 7)
+    check_memory(recipe("Lift", "ppo"), Spaces(40, 7))
 
 
 def test_memory_that_a_short_run_never_fills_is_not_needed(monkeypatch) -> None:
     config = recipe("Lift", "sac")
     large = replace(config, agent=replace(config.agent, buffer_size=20_000_000))
     monkeypatch.setattr(memory, "available_memory", lambda: 2**30)
-    check_memory(replace(large, steps=100_000), 40, 7)
+    check_memory(replace(large, steps=100_000), Spaces(40, 7))
     with pytest.raises(UserError, match=r"of which 1.0 GiB are free: .*buffer-size"):
-        check_memory(replace(large, steps=10**8), 40, 7)
+        check_memory(replace(large, steps=10**8), Spaces(40, 7))

@@ -33,10 +33,14 @@ class ActorInputs:
             The vector [..., V] float32, then the image [..., H, W, C] uint8 of each
             camera: the arguments of an actor.
         """
-        vector, *images = (state[key] for key in self.keys)
-        if self.columns is not None:
-            vector = vector[..., list(self.columns)]
-        return vector, *images
+        observation, *images = (state[key] for key in self.keys)
+        return self.vector(observation), *images
+
+    def vector(self, observation: Tensor) -> Tensor:
+        """Select the entries [..., V] from joined observations [..., D]."""
+        if self.columns is None:
+            return observation
+        return observation[..., list(self.columns)]
 
 
 def camera_inputs(spec: ObservationSpec) -> ActorInputs:

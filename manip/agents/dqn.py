@@ -78,8 +78,9 @@ class DQN(OffPolicy):
     def policy(self) -> TensorDictModuleBase:
         """Return random bins at first, later an epsilon-greedy policy."""
         epsilon = 1.0 if self.warming_up else self.config.epsilon
-        explore = partial(_greedy, epsilon=epsilon)
-        return RolloutPolicy(self.actor, explore, bursts=self.config.gripper_bursts)
+        explore, bursts = partial(_greedy, epsilon=epsilon), self.config.gripper_bursts
+        inputs = self._spaces.inputs
+        return RolloutPolicy(self.actor, inputs, explore, bursts=bursts)
 
     def modules(self) -> dict[str, nn.Module]:
         """Return the loss, which holds the critic and its target."""
@@ -100,9 +101,9 @@ class DQN(OffPolicy):
 
 
 def _greedy(
-    actor: BinnedActor, observation: Tensor, draw: Generator, epsilon: float
+    actor: BinnedActor, inputs: tuple[Tensor, ...], draw: Generator, epsilon: float
 ) -> Tensor:
-    best = actor.best(observation)
+    best = actor.best(*inputs)
     uniform = torch.randint(actor.bins, best.shape, generator=draw)
     explores = torch.rand(best.shape, generator=draw) < epsilon
     return actor.values_of(torch.where(explores, uniform, best))

@@ -9,10 +9,12 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Generator, Tensor
 
+from manip.agents.actor_inputs import ActorInputs
+from manip.agents.image_actor import ImageActor
 from manip.agents.networks import Actor, BinnedActor, seeded_generator
 
-Explore = Callable[[Any, Tensor, Generator], Tensor]
-"""(actor, observation [N, D], random generator) -> action [N, A] / action_scale."""
+Explore = Callable[[Any, tuple[Tensor, ...], Generator], Tensor]
+"""(actor, its inputs [N, ...], random generator) -> action [N, A] / action_scale."""
 
 BURST = 0.9
 """Gripper command of a burst: inside the range, where tanh has an inverse."""
@@ -26,22 +28,24 @@ class RolloutPolicy(TensorDictModuleBase):
     a whole rollout.
 
     Args:
+        inputs: what the actor sees of a state.
         explore: draws an action; see `Explore`.
         warm_up: draw uniform actions instead.
         bursts: fraction of the environments whose gripper has a burst.
     """
 
-    in_keys = ["observation"]
     out_keys = ["action"]
 
     def __init__(
         self,
-        actor: Actor | BinnedActor,
+        actor: Actor | BinnedActor | ImageActor,
+        inputs: ActorInputs,
         explore: Explore,
         warm_up: bool = False,
         bursts: float = 0.0,
     ) -> None:
         super().__init__()
+        self.in_keys, self._inputs = [*inputs.keys], inputs
         self._actor, self._warm_up, self._bursts = deepcopy(actor), warm_up, bursts
         self._explore, self._generator = explore, seeded_generator()
         self._gripper: Tensor | None = None
@@ -49,17 +53,17 @@ class RolloutPolicy(TensorDictModuleBase):
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write `action` [N, A]."""
-        unit = self._draw(tensordict["observation"])
+        unit = self._draw(self._inputs.of(tensordict))
         if self._gripper is None:
             self._gripper = self._draw_bursts(len(unit))
         unit[:, -1] = self._gripper.where(self._gripper != 0, unit[:, -1])
         return tensordict.set("action", self._actor.action_scale * unit)
 
-    def _draw(self, observation: Tensor) -> Tensor:
+    def _draw(self, inputs: tuple[Tensor, ...]) -> Tensor:
         if self._warm_up:
-            shape = (len(observation), len(self._actor.action_scale))
+            shape = (len(inputs[0]), len(self._actor.action_scale))
             return torch.rand(shape, generator=self._generator) * 2 - 1
-        return self._explore(self._actor, observation, self._generator)
+        return self._explore(self._actor, inputs, self._generator)
 
     def _draw_bursts(self, num_envs: int) -> Tensor:
         """Draw the gripper's commands [N] for the rollout; 0 leaves it to the actor."""

@@ -118,7 +118,8 @@ class GaussianBC(Agent):
         return {"loss_actor": sum(losses) / count} if losses else {}
 
     def _learn(self) -> float:
-        rows = self._replay.sample(self.config.batch_size, 1, 0.0)
+        drawn = self._replay.draw(self.config.batch_size)
+        rows = self._replay.transitions(drawn, 1, 0.0)
         sizes = self.actor.observation_dim, len(self.actor.action_scale)
         observation, action, _ = rows.split([*sizes, rows.shape[1] - sum(sizes)], 1)
         policy = IndependentNormal(*self.actor(observation))

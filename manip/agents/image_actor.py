@@ -72,6 +72,10 @@ class ImageActor(nn.Module):
         """Return the deterministic action [..., A] in [-1, 1]."""
         return self.head.decide(self.features(vector, *images))
 
+    def set_deviation(self, deviation: float) -> None:
+        """Set the standard deviation, for every state; see `Actor.set_deviation`."""
+        self.head.set_deviation(deviation)
+
     def squashed(self, raw: Tensor) -> Tensor:
         """Map a Gaussian sample [..., A] to an action: action_scale tanh(raw)."""
         return self.head.squashed(raw)

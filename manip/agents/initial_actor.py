@@ -5,13 +5,11 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from manip.agents.image_actor import ImageActor
 from manip.agents.networks import Actor, RunningNorm, widths_of
 from manip.agents.policy import Policy
 from manip.errors import UserError
 from manip.observation import ObservationSpec
-
-FIRST = "body.0.weight"
-"""Weights [H, D] of the first layer."""
 
 
 class InitialActor(NamedTuple):
@@ -44,40 +42,60 @@ def initial_actor(
         UserError: the policy has another form, or knows none of the parts.
     """
     _check_form(policy.actor, actor, where)
-    columns, unknown = _columns(policy.card.observation_spec, spec)
-    if len(unknown) == len(spec.slices):
+    known = policy.card.observation_spec
+    columns, unknown = _columns(known, spec)
+    if len(unknown) == len(spec.parts):
         raise UserError(
             f"the policy in {where} sees none of the parts of this observation: "
             f"{', '.join(unknown)}"
         )
     old, weights = policy.actor.state_dict(), dict(actor.state_dict())
-    fitting = {n: t for n, t in old.items() if weights[n].shape == t.shape}
-    other = {} if len(old["action_scale"]) == len(actor.action_scale) else {"head"}
-    weights |= fitting | {FIRST: _gather(old[FIRST], columns, 0.0)}
+    weights |= {n: t for n, t in old.items() if _shape(weights.get(n)) == t.shape}
+    joined = columns
+    if isinstance(actor, ImageActor):
+        encoders, joined = _match_cameras(actor, known, spec, columns)
+        weights |= {new: old[name] for new, name in encoders.items()}
+    first = next(name for name in weights if name.endswith("body.0.weight"))
+    weights[first] = _gather(old[first], joined, 0.0)
     if isinstance(actor.norm, RunningNorm):
         weights |= _norm(old, columns, bool(unknown))
-    return InitialActor(weights, [*unknown, *other])
+    other = len(policy.actor.action_scale) != len(actor.action_scale)
+    return InitialActor(weights, [*unknown, *(["the last layer"] if other else [])])
 
 
-def network_options(actor: Actor) -> dict[str, Any]:
+def _shape(tensor: Tensor | None) -> torch.Size | None:
+    return None if tensor is None else tensor.shape
+
+
+def network_options(actor: Actor | ImageActor) -> dict[str, Any]:
     """Options of an algorithm (`AgentConfig`) that build a network like the actor's."""
     scale = [float(f"{fraction:.6g}") for fraction in actor.action_scale.tolist()]
-    return {
+    options = {
         "actor_hidden": tuple(widths_of(actor.body)[1:-1]),
         "action_scale": tuple(scale) if min(scale) < 1 else (),
         "squash": actor.squash,
         "normalise": isinstance(actor.norm, RunningNorm),
     }
+    if isinstance(actor, ImageActor):
+        options["image_channels"] = tuple(actor.sizes.channels)
+        options["image_features"] = actor.sizes.features
+    return options
 
 
 def _check_form(old: Any, new: Any, where: str) -> None:
     """Raise `UserError` unless both are actors of one form and of equal layers."""
-    if not isinstance(new, Actor):
+    if not isinstance(new, Actor | ImageActor):
         raise UserError("this algorithm has no actor that a policy could start")
-    if not isinstance(old, Actor):
+    if not isinstance(old, Actor | ImageActor):
         raise UserError(
             f"the policy in {where} values discrete actions: it cannot start an actor; "
             "choose a policy that dqn has not trained"
+        )
+    if type(old) is not type(new):
+        sees = "cameras" if isinstance(old, ImageActor) else "the state"
+        raise UserError(
+            f"the policy in {where} sees {sees}: it starts an actor that does, too "
+            "(--observe)"
         )
     expected, given = network_options(old), network_options(new)
     if len(old.action_scale) != len(new.action_scale):
@@ -98,16 +116,35 @@ def _check_form(old: Any, new: Any, where: str) -> None:
 def _columns(old: ObservationSpec, new: ObservationSpec) -> tuple[Tensor, list[str]]:
     """Return the old input [D] of each new one, -1 for none; and unknown parts."""
     known = {part.name: part for part in old.parts}
-    columns, unknown = torch.full((new.dim,), -1), []
-    for part in new.parts:
-        if part.name not in new.slices:
-            continue
-        if known.get(part.name) == part:
-            place = old.slices[part.name]
-            columns[new.slices[part.name]] = torch.arange(place.start, place.stop)
-        else:
-            unknown.append(part.name)
+    unknown = [part.name for part in new.parts if known.get(part.name) != part]
+    columns = torch.full((new.dim,), -1)
+    for name, place in new.slices.items():
+        if name not in unknown:
+            start, stop = old.slices[name].start, old.slices[name].stop
+            columns[place] = torch.arange(start, stop)
     return columns, unknown
+
+
+def _match_cameras(
+    actor: ImageActor, old: ObservationSpec, new: ObservationSpec, columns: Tensor
+) -> tuple[dict[str, str], Tensor]:
+    """Match the encoders of equal cameras.
+
+    Returns:
+        New name -> old name of their weights; and the old input of each input of the
+        head, which joins the vector, whose columns are given, and the features.
+    """
+    before, after = (
+        [part for part in spec.parts if part.role == "camera"] for spec in (old, new)
+    )
+    names, joined, width = {}, [columns], actor.sizes.features
+    for place, camera in enumerate(after):
+        index = before.index(camera) if camera in before else None
+        start = -1 if index is None else old.dim + index * width
+        joined.append(start + torch.arange(width) * (start >= 0))
+        for name in actor.encoders[place].state_dict() if start >= 0 else ():
+            names[f"encoders.{place}.{name}"] = f"encoders.{index}.{name}"
+    return names, torch.cat(joined)
 
 
 def _gather(values: Tensor, columns: Tensor, missing: float) -> Tensor:

@@ -6,7 +6,7 @@ such bias, and learns slower.
 """
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -17,7 +17,7 @@ from torchrl.modules import ValueOperator
 
 from manip.agents.agent import Agent, AgentConfig, Spaces
 from manip.agents.networks import mlp
-from manip.agents.replay import Replay
+from manip.agents.replay import ImageTransitions, Replay
 from manip.agents.value_targets import check_steps
 from manip.io.option_ranges import COUNT, NUMBER, SHARE, WHOLE, Range
 from manip.rewards.reward_function import RewardFunction
@@ -66,10 +66,13 @@ class OffPolicy(Agent):
 
     def __init__(self, config: OffPolicyConfig, spaces: Spaces) -> None:
         check_steps(config.n_step, config.rollout_length)
-        self._options = config
+        self._options, self._spaces = config, spaces
         self.rollout_length = config.rollout_length
         self._replay = Replay(
-            config.buffer_size, spaces.observation_dim, spaces.action_dim
+            config.buffer_size,
+            spaces.observation_dim,
+            spaces.action_dim,
+            spaces.inputs.cameras,
         )
         self._steps = 0
         self._owed = 0.0
@@ -138,16 +141,23 @@ class OffPolicy(Agent):
             raise ValueError("the checkpoint's counters are out of range")
 
     @abstractmethod
-    def _learn(self, rows: Tensor) -> dict[str, float]:
-        """Learn from a batch of rows (see `rows_of`); `_updates` counts these calls."""
+    def _learn(self, rows: Any) -> dict[str, float]:
+        """Learn from a batch of rows (see `rows_of`); `_updates` counts these calls.
 
-    def _sample(self, batches: int) -> Sequence[Tensor]:
-        """Draw the rows of so many batches at once."""
+        With cameras the batch is an `ImageTransitions`.
+        """
+
+    def _sample(self, batches: int) -> Iterable[Tensor | ImageTransitions]:
+        """Draw the rows of so many batches at once; gather images batch by batch."""
         if not batches:
             return ()
         size, options = self._options.batch_size, self._options
-        rows = self._replay.sample(batches * size, options.n_step, options.gamma)
-        return rows.split(size)
+        rows, form = self._replay.draw(batches * size), (options.n_step, options.gamma)
+        if not self._replay.cameras:
+            return self._replay.transitions(rows, *form).split(size)
+        return (
+            self._replay.image_transitions(part, *form) for part in rows.split(size)
+        )
 
 
 def descend(optimiser: torch.optim.Optimizer, loss: Tensor) -> None:

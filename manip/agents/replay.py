@@ -12,22 +12,40 @@ was held in 96, 98, 88 and 96 % of 300 episodes (seeds 20 to 23), against 98, 99
 Rows are relabelled or sampled with another n or discount without new experience.
 """
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from manip.agents.replay_columns import (
+    NONE,
+    OPTIONAL,
+    allocate,
+    check_columns,
+    check_links,
+    image_after,
+    image_before,
+)
 from manip.agents.trajectory import episode_starts, numbers_after
 from manip.errors import UserError
+from manip.observation import ObservationPart
 from manip.rewards.reward_function import RewardFunction
 
-OPTIONAL = {"terms": "reward_terms", "measures": "measures"}
-"""Column -> key of a rollout's `next` that it stores, where rollouts have it."""
 
-NONE = -1
-"""Link of a row that is the last of its episode or rollout."""
+class ImageTransitions(NamedTuple):
+    """A batch of n-step transitions with images.
+
+    Attributes:
+        rows: [B, 2 O + A + 3], see `Replay.transitions`.
+        images: camera part -> uint8 [B, H, W, C] at s.
+        successors: the same at s'.
+    """
+
+    rows: Tensor
+    images: dict[str, Tensor]
+    successors: dict[str, Tensor]
 
 
 class Replay:
@@ -36,21 +54,33 @@ class Replay:
     Columns, S = capacity: `before` [S, O + A] observation and action, `after` [S, O]
     next observation, `reward` [S], `terminated` [S], `ended` [S], `terms` [S, K] raw
     reward terms, `measures` [S, M] visible measures, `env` [S], `episode` [S] a number
-    for each episode, `link` [S]. K and M are 0 where rollouts have none.
+    for each episode, `link` [S]; and for each camera its image before and after the
+    step, uint8 [S, H, W, C]. K and M are 0 where rollouts have none.
 
     Args:
         capacity: most steps that are stored.
         observation_dim: O.
         action_dim: A.
+        cameras: parts of the observation that are images.
+
+    Attributes:
+        cameras: their names.
 
     Raises:
         UserError: there is not enough memory.
     """
 
-    def __init__(self, capacity: int, observation_dim: int, action_dim: int) -> None:
+    def __init__(
+        self,
+        capacity: int,
+        observation_dim: int,
+        action_dim: int,
+        cameras: Sequence[ObservationPart] = (),
+    ) -> None:
         self.capacity = capacity
         self._widths = observation_dim, action_dim
-        self._columns = _allocate(capacity, observation_dim, action_dim)
+        self.cameras = tuple(camera.name for camera in cameras)
+        self._columns = allocate(capacity, observation_dim, action_dim, cameras)
         self._size = self._cursor = self._episodes = 0
         self._current = torch.empty(0, dtype=torch.int64)
 
@@ -78,9 +108,9 @@ class Replay:
         self._cursor = (self._cursor + count) % self.capacity
         self._size = min(self._size + count, self.capacity)
 
-    def sample(self, count: int, n: int, gamma: float) -> Tensor:
-        """Draw rows uniformly, with replacement; return their n-step transitions."""
-        return self.transitions(torch.randint(self._size, (count,)), n, gamma)
+    def draw(self, count: int) -> Tensor:
+        """Draw the numbers of stored rows uniformly, with replacement."""
+        return torch.randint(self._size, (count,))
 
     def transitions(self, rows: Tensor, n: int, gamma: float) -> Tensor:
         """Form the transitions of up to n steps that begin at the given rows.
@@ -91,6 +121,19 @@ class Replay:
         Returns:
             [B, 2 O + A + 3]: observation, action, s', R, m, whether s' is terminal.
         """
+        return self._transitions(rows, n, gamma)[0]
+
+    def image_transitions(self, rows: Tensor, n: int, gamma: float) -> ImageTransitions:
+        """The same with the images at s and s'."""
+        vectors, last = self._transitions(rows, n, gamma)
+        return ImageTransitions(
+            vectors,
+            {name: self._take(image_before(name), rows) for name in self.cameras},
+            {name: self._take(image_after(name), last) for name in self.cameras},
+        )
+
+    def _transitions(self, rows: Tensor, n: int, gamma: float) -> tuple[Tensor, Tensor]:
+        """Transitions [B, ...], and the row [B] of each one's last step."""
         take = self._take
         last, total, steps = rows, take("reward", rows), torch.ones(len(rows))
         for k in range(1, n):
@@ -101,7 +144,7 @@ class Replay:
             steps += goes_on
         ends = [total, steps, take("terminated", last).float()]
         parts = [take("before", rows), take("after", last), torch.stack(ends, 1)]
-        return torch.cat(parts, 1)
+        return torch.cat(parts, 1), last
 
     def _take(self, name: str, rows: Tensor) -> Tensor:
         """Gather rows of a column; index_select takes a seventh of column[rows]."""
@@ -164,8 +207,8 @@ class Replay:
         size = 0 if stored is None else len(stored["reward"])
         if stored is not None:
             self._fit_widths({name: stored[name] for name in OPTIONAL})
-            _check_columns(stored, self._columns, size)
-        _check_links(state, size, self.capacity)
+            check_columns(stored, self._columns, size)
+        check_links(state, size, self.capacity)
         for name, column in (stored or {}).items():
             self._columns[name][:size] = column
         self._size, self._cursor = size, state["cursor"]
@@ -195,16 +238,18 @@ class Replay:
         return numbers
 
     def _write(self, rows: Tensor, batch: TensorDictBase, episode: Tensor) -> None:
-        after = batch["next"]
+        following = batch["next"]
         env = torch.arange(len(batch), dtype=torch.int32)[:, None].expand(batch.shape)
         values = {
             "before": torch.cat([batch["observation"], batch["action"]], -1),
-            "after": after["observation"],
-            "reward": after["reward"].squeeze(-1),
-            "terminated": after["terminated"].squeeze(-1),
-            "ended": after["done"].squeeze(-1),
+            "after": following["observation"],
+            "reward": following["reward"].squeeze(-1),
+            "terminated": following["terminated"].squeeze(-1),
+            "ended": following["done"].squeeze(-1),
             "env": env,
             "episode": episode,
+            **{image_before(name): batch[name] for name in self.cameras},
+            **{image_after(name): following[name] for name in self.cameras},
         }
         values |= {name: numbers_after(batch, key) for name, key in OPTIONAL.items()}
         for name, value in values.items():
@@ -215,51 +260,3 @@ class Replay:
         link = self._columns["link"]
         link[rows[:, :-1]] = torch.where(ended[:, :-1], NONE, rows[:, 1:])
         link[rows[:, -1]] = NONE
-
-
-def _allocate(capacity: int, observations: int, actions: int) -> dict[str, Tensor]:
-    try:
-        return {
-            "before": torch.zeros(capacity, observations + actions),
-            "after": torch.zeros(capacity, observations),
-            "reward": torch.zeros(capacity),
-            "terminated": torch.zeros(capacity, dtype=torch.bool),
-            "ended": torch.zeros(capacity, dtype=torch.bool),
-            **{name: torch.zeros(capacity, 0) for name in OPTIONAL},
-            "env": torch.zeros(capacity, dtype=torch.int32),
-            "episode": torch.zeros(capacity, dtype=torch.int64),
-            "link": torch.zeros(capacity, dtype=torch.int64),
-        }
-    except RuntimeError as error:  # torch's allocator
-        size = capacity * 4 * (2 * observations + actions) / 2**30
-        raise UserError(
-            f"no memory for {capacity:,} stored steps ({size:,.1f} GiB): choose a "
-            "smaller agent.buffer_size"
-        ) from error
-
-
-def _check_columns(
-    stored: Mapping[str, Tensor], columns: Mapping[str, Tensor], size: int
-) -> None:
-    if stored.keys() != columns.keys():
-        raise ValueError(f"a replay buffer of columns {', '.join(stored)}")
-    for name, column in columns.items():
-        value, shape = stored[name], (size, *column.shape[1:])
-        if value.shape != shape or value.dtype != column.dtype or size > len(column):
-            raise ValueError(
-                f"column {name} of the replay buffer is {value.dtype} "
-                f"{[*value.shape]}, not {column.dtype} {[*shape]}"
-            )
-
-
-def _check_links(state: Mapping[str, Any], size: int, capacity: int) -> None:
-    cursor, current = state["cursor"], state["current"]
-    if not (isinstance(cursor, int) and isinstance(state["episodes"], int)):
-        raise ValueError("the replay buffer's counters are not whole numbers")
-    if not 0 <= cursor < capacity or (size < capacity and cursor != size):
-        raise ValueError(f"the replay buffer's cursor is {cursor}")
-    link = state["buffer"]["link"] if size else current[:0]
-    if ((link < NONE) | (link >= size)).any():
-        raise ValueError("the replay buffer links to steps that are not stored")
-    if current.dtype != torch.int64 or current.ndim != 1:
-        raise ValueError("the replay buffer's episode numbers are no row of integers")

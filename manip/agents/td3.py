@@ -90,7 +90,8 @@ class TD3(OffPolicy):
         """Return uniform actions at first, later the actor's with noise."""
         explore = partial(_noisy, noise=self.config.exploration_noise)
         bursts = self.config.gripper_bursts
-        return RolloutPolicy(self.actor, explore, self.warming_up, bursts)
+        inputs, warm_up = self._spaces.inputs, self.warming_up
+        return RolloutPolicy(self.actor, inputs, explore, warm_up, bursts)
 
     def start_from(self, weights: Mapping[str, Tensor], deviation: float) -> None:
         """See `Agent.start_from`; the target actor starts from them as well."""
@@ -122,8 +123,10 @@ class TD3(OffPolicy):
         return {"loss_critic": loss.item(), "loss_actor": actor_loss.item()}
 
 
-def _noisy(actor: Actor, observation: Tensor, draw: Generator, noise: float) -> Tensor:
-    mean = actor(observation)[0].tanh()
+def _noisy(
+    actor: Actor, inputs: tuple[Tensor, ...], draw: Generator, noise: float
+) -> Tensor:
+    mean = actor(*inputs)[0].tanh()
     return (mean + noise * torch.randn(mean.shape, generator=draw)).clamp(-1, 1)
 
 

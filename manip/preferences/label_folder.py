@@ -49,7 +49,7 @@ class LabelFolder:
         )
 
     def unanswered(self, number: int) -> list[Pair]:
-        """The pairs of a round that nobody has answered yet, on either side."""
+        """The pairs of a round without an answer, on either side."""
         answered = {answer.pair for answer in valid_comparisons(self.folder)}
         return [
             pair
@@ -63,7 +63,7 @@ class LabelFolder:
         append_comparison(self.folder, labeller, clips, answer, number=pair.round)
 
     def count(self) -> int:
-        """Number of answers, whoever asked."""
+        """Number of answers, also those that other runs asked for."""
         return len(valid_comparisons(self.folder))
 
     def answers(self, number: int) -> list[Comparison]:

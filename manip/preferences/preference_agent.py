@@ -19,7 +19,7 @@ from torch import nn
 
 from manip.agents.agent import Agent, AgentConfig
 from manip.preferences.clip_pool import START_KEYS, ClipPool
-from manip.preferences.rounds import Rounds
+from manip.preferences.label_rounds import Rounds
 
 
 class PreferenceAgent(Agent):

@@ -11,6 +11,7 @@ from manip.sim.robosuite_log import quiet_robosuite
 
 PROGRAMS = {
     "train": "train a policy",
+    "label": "compare pairs of clips on a page in the browser",
     "evaluate": "measure a policy's success, in stock robosuite or natively",
     "render": "make a video of a policy",
     "reproduce": "rerun shipped recipes and compare with their results",

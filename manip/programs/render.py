@@ -56,6 +56,9 @@ class Render:
     """Height of the picture [pixel]."""
     steps: int | None = None
     """Control steps shown of each episode. All of them unless given."""
+    images: bool = False
+    """Show the images that the policy sees beside each frame, enlarged. They make the
+    video wider."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -77,6 +80,8 @@ def render_video(options: Render) -> None:
     _check(options)
     policy = load_policy(options.run)
     task = load_task_named_by(options.run, policy.card.task)
+    if options.images and policy.card.cameras is None:
+        raise UserError(f"the policy in {options.run} sees no images: drop --images")
     env = make_env(_settings(options, policy, task), options.episodes)
     _draw_one(env, options)
     recorder = Recorder(env)
@@ -131,11 +136,14 @@ class Recorder:
         self._batch = env.batch
         self._states: list[Array] = []
         self._success: list[Array] = []
+        self._images: list[list[Array]] = []
 
     def __call__(self, state: TensorDictBase) -> None:
         """Record the present state of all environments."""
         self._states.append(self._batch.engine.states.copy())
         self._success.append(state["success"].squeeze(-1).numpy().copy())
+        parts = self._batch.cameras.parts
+        self._images.append([state[part.name].numpy() for part in parts])
 
     def frames(self, options: Render) -> Generator[Array, None, None]:
         """Pictures [H, W, 3] uint8 of all episodes, one after the other."""
@@ -146,7 +154,7 @@ class Recorder:
                 Caption(_caption(env_id, step, bool(done)), bool(done))
                 for step, done in enumerate(success[:, env_id])
             ]
-            yield from render_frames(
+            frames = render_frames(
                 self._batch.engine.visual_model(states[0, env_id]),
                 states[:, env_id, : self._batch.scene.visual.nq],
                 options.camera,
@@ -154,6 +162,30 @@ class Recorder:
                 options.height,
                 captions,
             )
+            with closing(frames):
+                for step, frame in enumerate(frames):
+                    images = [image[env_id] for image in self._images[step]]
+                    yield beside(frame, images) if options.images else frame
+
+
+def beside(frame: Array, images: Sequence[Array]) -> Array:
+    """Put images, one below the other, at the right of a frame.
+
+    Args:
+        frame: [H, W, 3] uint8.
+        images: [S, S, 3 k] uint8 each, the bottom row first; the last 3 channels, the
+            latest image, are shown.
+
+    Returns:
+        [H, W + H / number of images, 3] uint8; less than that many rows are black.
+    """
+    side = frame.shape[0] // len(images)
+    column = np.zeros((frame.shape[0], side, 3), np.uint8)
+    for number, image in enumerate(images):
+        place = np.arange(side) * len(image) // side
+        enlarged = image[::-1, :, -3:][place][:, place]
+        column[number * side : (number + 1) * side] = enlarged
+    return np.concatenate([frame, column], axis=1)
 
 
 def _caption(env_id: int, step: int, success: bool) -> str:

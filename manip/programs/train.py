@@ -17,7 +17,7 @@ from manip.errors import UserError, check_choice
 from manip.programs import cli
 from manip.robot_config import CONTROLLERS, ROBOTS
 from manip.training.config import TrainConfig, recorded
-from manip.training.initial_policy import starting_from
+from manip.training.initial_policy import observation_of, starting_from
 from manip.training.recipes import recipe, scales_other_actions
 from manip.training.run import train
 from manip.training.terminal import TerminalProgress
@@ -114,7 +114,8 @@ def _defaults(arguments: Sequence[str]) -> TrainConfig:
             f"manip: the recipe's action_scale is not used with {start.controller}",
             file=sys.stderr,
         )
-    observe: Observe = "cameras" if start.observe == "cameras" else "state"
+    initial = observation_of(start.init) if start.init else "state"
+    observe: Observe = "cameras" if start.observe == "cameras" else initial
     chosen = start.task, start.algo, start.robot, start.controller
     config = recipe(*chosen, observe)
     return config if start.init is None else starting_from(config, start.init)

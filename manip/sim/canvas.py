@@ -26,9 +26,6 @@ class Canvas:
 
     Raises:
         UserError: the picture is larger than the model's offscreen buffer.
-
-    Attributes:
-        scene: MuJoCo's scene, whose flags say how it is drawn.
     """
 
     def __init__(self, model: mujoco.MjModel, height: int, width: int) -> None:
@@ -45,8 +42,12 @@ class Canvas:
         scale = mujoco.mjtFontScale.mjFONTSCALE_150
         self._drawing = mujoco.MjrContext(model, scale.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._drawing)
-        self.scene = mujoco.MjvScene(model, MAX_GEOMS)
+        self._scene = mujoco.MjvScene(model, MAX_GEOMS)
         self._closed = False
+
+    def reflect(self, reflections: bool) -> None:
+        """Draw reflections or leave them out; they are drawn by default."""
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = reflections
 
     def draw(
         self,
@@ -59,9 +60,9 @@ class Canvas:
         everything = mujoco.mjtCatBit.mjCAT_ALL
         self._context.make_current()
         mujoco.mjv_updateScene(
-            self._model, data, options, None, view, everything, self.scene
+            self._model, data, options, None, view, everything, self._scene
         )
-        mujoco.mjr_render(self._area, self.scene, self._drawing)
+        mujoco.mjr_render(self._area, self._scene, self._drawing)
         mujoco.mjr_readPixels(picture, None, self._area, self._drawing)
 
     def close(self) -> None:

@@ -5,7 +5,7 @@ import numpy as np
 
 from manip.errors import UserError
 from manip.sim.canvas import Canvas
-from manip.sim.gl_thread import close_later, gl_thread, open_in_gl_thread
+from manip.sim.gl_thread import InGLThread
 
 
 class Drawer:
@@ -18,11 +18,10 @@ class Drawer:
 
     def __init__(self, model: mujoco.MjModel, height: int, width: int) -> None:
         self._shape = height, width, 3
-        self._canvas: Canvas | None
-        self._canvas = open_in_gl_thread(lambda: Canvas(model, height, width))
+        self._canvas: InGLThread[Canvas] | None
+        self._canvas = InGLThread(lambda: Canvas(model, height, width))
         # robosuite's floor reflects 1 %: invisible, yet a quarter of the drawing time
-        reflection = mujoco.mjtRndFlag.mjRND_REFLECTION
-        self._canvas.scene.flags[reflection] = False
+        self._canvas.opened.reflect(False)
 
     def draw(
         self, data: mujoco.MjData, view: mujoco.MjvCamera, options: mujoco.MjvOption
@@ -32,11 +31,11 @@ class Drawer:
         if canvas is None:
             raise UserError("this renderer is closed: start another one")
         picture = np.empty(self._shape, np.uint8)
-        gl_thread().call(lambda: canvas.draw(data, view, options, picture))
+        canvas.call(lambda: canvas.opened.draw(data, view, options, picture))
         return np.flipud(picture).copy()
 
     def close(self) -> None:
         """Free the OpenGL context; does nothing the second time."""
         canvas, self._canvas = self._canvas, None
         if canvas is not None:
-            close_later(canvas)
+            canvas.close()

@@ -1,4 +1,4 @@
-"""A separate thread for OpenGL.
+"""Separate threads for OpenGL.
 
 OpenGL has one current context per thread. Drawing in a separate thread never
 changes the context that another library made current in the user's thread.
@@ -9,9 +9,19 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 from queue import SimpleQueue
-from typing import Any, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 Result = TypeVar("Result")
+
+
+class Closable(Protocol):
+    """An object that holds an OpenGL context."""
+
+    def close(self) -> None:
+        """Free the context; does nothing the second time."""
+
+
+Opened = TypeVar("Opened", bound=Closable)
 
 
 class GLThread:
@@ -19,16 +29,13 @@ class GLThread:
 
     It ends before `atexit` functions run, among them those of mujoco and robosuite
     that shut OpenGL down: after that, contexts can no longer be freed.
-
-    Args:
-        at_end: called in the thread as its last function.
     """
 
-    def __init__(self, at_end: Callable[[], None]) -> None:
+    def __init__(self) -> None:
         self._process = os.getpid()
         self._jobs: SimpleQueue[tuple[Future[Any], Callable[[], Any]] | None]
         self._jobs = SimpleQueue()
-        self._at_end = at_end
+        self._open: set[Closable] = set()
         self._worker = threading.Thread(target=self._work, name="manip-gl")
         self._worker.start()
         threading.Thread(target=self._end_with_main, name="manip-gl-end").start()
@@ -50,6 +57,18 @@ class GLThread:
         self._jobs.put((future, function))
         return future
 
+    def open(self, make: Callable[[], Opened]) -> Opened:
+        """Build an object in the thread, which closes it as it ends."""
+        opened = self.call(make)
+        self._open.add(opened)
+        return opened
+
+    def close_later(self, opened: Closable) -> None:
+        """Close an object in the thread, without waiting: for finalizers."""
+        if opened in self._open and self.alive:
+            self._open.discard(opened)
+            self.post(opened.close)
+
     def _work(self) -> None:
         while job := self._jobs.get():
             future, function = job
@@ -58,47 +77,54 @@ class GLThread:
             except BaseException as error:
                 future.set_exception(error)
             del job, future, function  # results hold OpenGL objects
-        self._at_end()
+        while self._open:
+            self._open.pop().close()
 
     def _end_with_main(self) -> None:
         threading.main_thread().join()
         self._jobs.put(None)
 
 
-class Closable(Protocol):
-    """An object that holds an OpenGL context."""
+_threads: dict[int, GLThread] = {}
+
+
+def gl_thread(number: int = 0) -> GLThread:
+    """One of the process's OpenGL threads; started by the first call."""
+    thread = _threads.get(number)
+    if thread is None or not thread.alive:
+        thread = _threads[number] = GLThread()
+    return thread
+
+
+class InGLThread(Generic[Opened]):
+    """An object that lives in an OpenGL thread, and is closed there after its owner.
+
+    Args:
+        make: builds the object; called in the thread.
+        number: of the thread, as in `gl_thread`.
+    """
+
+    def __init__(self, make: Callable[[], Opened], number: int = 0) -> None:
+        self._thread = gl_thread(number)
+        self.opened = self._thread.open(make)
+
+    @property
+    def alive(self) -> bool:
+        """Whether its thread runs: not after a fork."""
+        return self._thread.alive
+
+    def call(self, function: Callable[[], Result]) -> Result:
+        """Run a function in the thread; return or raise what it does."""
+        return self._thread.call(function)
+
+    def post(self, function: Callable[[], Result]) -> "Future[Result]":
+        """Run a function in the thread later, after those that wait."""
+        return self._thread.post(function)
 
     def close(self) -> None:
-        """Free the context; does nothing the second time."""
+        """Close the object, without waiting."""
+        self._thread.close_later(self.opened)
 
-
-_thread: GLThread | None = None
-_open: set[Closable] = set()
-
-
-def gl_thread() -> GLThread:
-    """The process's only OpenGL thread; started by the first call."""
-    global _thread
-    if _thread is None or not _thread.alive:
-        _open.clear()  # after a fork: they are the parent's
-        _thread = GLThread(at_end=_close_all)
-    return _thread
-
-
-def open_in_gl_thread(make: Callable[[], Closable]) -> Any:
-    """Build an object in the OpenGL thread, and close it when the process ends."""
-    opened = gl_thread().call(make)
-    _open.add(opened)
-    return opened
-
-
-def close_later(opened: Closable) -> None:
-    """Close an object in the OpenGL thread, without waiting: for finalizers."""
-    if opened in _open and _thread is not None and _thread.alive:
-        _open.discard(opened)
-        _thread.post(opened.close)
-
-
-def _close_all() -> None:
-    while _open:
-        _open.pop().close()
+    def __del__(self) -> None:
+        if "opened" in vars(self):  # it was built
+            self.close()

@@ -1,14 +1,12 @@
 """PhysicsCameras: pictures of a MuJoCo simulation that another library steps."""
 
-import weakref
-
 import mujoco
 import numpy as np
 
 from manip.cameras import CameraConfig, part_name
 from manip.sim.canvas import Canvas, camera_view
 from manip.sim.gl import use_backend
-from manip.sim.gl_thread import close_later, gl_thread, open_in_gl_thread
+from manip.sim.gl_thread import InGLThread
 from manip.sim.not_copied import NotCopied
 
 Array = np.ndarray
@@ -27,8 +25,7 @@ class PhysicsCameras(NotCopied):
     def __init__(self, cameras: CameraConfig) -> None:
         self._cameras = cameras
         self._model: mujoco.MjModel | None = None
-        self._canvas: Canvas | None = None
-        self._close: weakref.finalize[..., PhysicsCameras] | None = None
+        self._canvas: InGLThread[Canvas] | None = None
         self._views: list[mujoco.MjvCamera] = []
         if cameras.names:
             use_backend()
@@ -46,19 +43,15 @@ class PhysicsCameras(NotCopied):
         }
         if pictures:
             canvas = self._opened(model)
-            gl_thread().call(lambda: self._fill(canvas, data, pictures))
+            canvas.call(lambda: self._fill(canvas.opened, data, pictures))
         return pictures
 
-    def _opened(self, model: mujoco.MjModel) -> Canvas:
+    def _opened(self, model: mujoco.MjModel) -> InGLThread[Canvas]:
         """The canvas of the model; another one if the library compiled it again."""
         if self._canvas is None or model is not self._model:
             self._views = [camera_view(model, name) for name in self._cameras.names]
-            if self._close is not None:
-                self._close()
             self._model, size = model, self._cameras.size
-            self._canvas = open_in_gl_thread(lambda: Canvas(model, size, size))
-            self._close = weakref.finalize(self, close_later, self._canvas)
-            self._close.atexit = False
+            self._canvas = InGLThread(lambda: Canvas(model, size, size))
         return self._canvas
 
     def _fill(

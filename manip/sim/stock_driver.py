@@ -14,7 +14,7 @@ from manip.cameras import CameraConfig
 from manip.errors import UserError, unknown
 from manip.robot_config import RobotConfig
 from manip.sim.gl import use_backend
-from manip.sim.gl_thread import close_later, gl_thread, open_in_gl_thread
+from manip.sim.gl_thread import InGLThread
 from manip.sim.not_copied import NotCopied
 from manip.sim.robosuite_factory import draw_with, make_stock
 
@@ -58,16 +58,12 @@ class CameraDriver(StockDriver):
     """
 
     def __init__(self, make: Callable[[], Any]) -> None:
-        self._inner = open_in_gl_thread(lambda: StockDriver(make()))
-        super().__init__(self._inner.stock)
+        self._inner = InGLThread(lambda: StockDriver(make()))
+        super().__init__(self._inner.opened.stock)
 
     def run(self, function: Callable[[], Result]) -> Result:
         """Call a function that steps or resets the environment."""
-        return gl_thread().call(lambda: self._inner.run(function))
-
-    def __del__(self) -> None:
-        if "_inner" in vars(self):
-            close_later(self._inner)
+        return self._inner.call(lambda: self._inner.opened.run(function))
 
 
 def open_stock(

@@ -3,14 +3,16 @@
 from dataclasses import fields, replace
 from typing import Any
 
+from manip.agents.actor_inputs import seen_parts
 from manip.agents.agent import Agent
 from manip.agents.initial_actor import initial_actor, network_options
-from manip.agents.networks import Actor
+from manip.agents.networks import BinnedActor
 from manip.agents.policy import load_policy
-from manip.agents.policy_card import PolicyCard
+from manip.agents.policy_card import Observe, PolicyCard
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.errors import UserError
 from manip.training.config import TrainConfig
+from manip.training.inputs import spaces_of
 
 CAREFUL = {
     "random_steps": 0,
@@ -32,11 +34,33 @@ def starting_from(config: TrainConfig, where: str) -> TrainConfig:
     """
     policy = load_policy(where)
     options: dict[str, Any] = dict(CAREFUL)
-    if isinstance(policy.actor, Actor):
+    if not isinstance(policy.actor, BinnedActor):
         options |= network_options(policy.actor)
     names = {field.name for field in fields(config.agent)}
     fitting = {name: value for name, value in options.items() if name in names}
-    return replace(config, init=where, agent=replace(config.agent, **fitting))
+    agent = replace(config.agent, **fitting)
+    return replace(config, init=where, agent=agent, **_camera_options(policy.card))
+
+
+def _camera_options(card: PolicyCard) -> dict[str, Any]:
+    """Options of the cameras that a policy sees; none if it sees the state."""
+    if (cameras := card.cameras) is None:
+        return {}
+    return {
+        "observe": "cameras",
+        "cameras": cameras.names,
+        "image_size": cameras.size,
+        "frames": cameras.frames,
+    }
+
+
+def observation_of(where: str) -> Observe:
+    """What a policy sees, as `--observe` names it.
+
+    Raises:
+        UserError: there is no such policy.
+    """
+    return "cameras" if load_policy(where).card.cameras else "state"
 
 
 def start_agent(config: TrainConfig, agent: Agent, env: TaskEnv) -> tuple[str, ...]:
@@ -52,7 +76,7 @@ def start_agent(config: TrainConfig, agent: Agent, env: TaskEnv) -> tuple[str, .
         return ()
     policy, where = load_policy(config.init), config.init
     _check_actions(policy.card, config, where)
-    spec = env.batch.observation_spec
+    spec = seen_parts(env.batch.observation_spec, spaces_of(config, env).inputs)
     initial = initial_actor(policy, agent.actor, spec, where)
     agent.start_from(initial.weights, config.init_std)
     trained = f"{policy.card.task}, {policy.card.robot}, {policy.card.algo}"

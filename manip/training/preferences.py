@@ -10,12 +10,12 @@ from manip.errors import UserError
 from manip.preferences.clip_pool import ClipPool
 from manip.preferences.clip_source import ClipSource
 from manip.preferences.label_folder import LabelFolder
+from manip.preferences.label_rounds import Labeller, Rounds
 from manip.preferences.labellers import TasteCriterion, make_labeller
 from manip.preferences.preference_agent import PreferenceAgent
 from manip.preferences.reward_learning import generator_of
 from manip.preferences.reward_model import RewardCard, RewardModel, input_names
 from manip.preferences.reward_network import RewardNetwork
-from manip.preferences.rounds import Labeller, Rounds
 from manip.preferences.tastes import load_taste
 from manip.training.config import TrainConfig, lasting
 

@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Mapping
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor, nn
@@ -54,10 +54,10 @@ class FlatParams(NamedTuple):
 class Gradients(Protocol):
     """Writes the gradients of a batch of rows (see `rows_of`) to the parameters."""
 
-    def critic(self, rows: Tensor) -> float:
+    def critic(self, rows: Any) -> float:
         """Write the critics' gradients; return the sum of their losses."""
 
-    def actor(self, rows: Tensor) -> tuple[float, float]:
+    def actor(self, rows: Any) -> tuple[float, float]:
         """Write the actor's and the temperature's gradients.
 
         Returns:
@@ -65,7 +65,7 @@ class Gradients(Protocol):
         """
 
 
-def flatten_loss(loss: SACLoss, actor: Actor) -> FlatParams:
+def flatten_loss(loss: SACLoss, actor: nn.Module) -> FlatParams:
     """Make the loss's parameters views of flat ones."""
     layers = [
         ("module", name, kind)
@@ -73,7 +73,7 @@ def flatten_loss(loss: SACLoss, actor: Actor) -> FlatParams:
         for kind, _ in layer.named_parameters()
     ]
     online, target = loss.qvalue_network_params, loss.target_qvalue_network_params
-    actor_params = dict(actor.body.named_parameters()) | {"log_alpha": loss.log_alpha}
+    actor_params = dict(actor.named_parameters()) | {"log_alpha": loss.log_alpha}
     critic_params = {".".join(layer[1:]): online.get(layer) for layer in layers}
     flat_actor = flatten([*actor_params.values()])
     flat_critics = flatten([*critic_params.values()], leading=1)

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box, Dict
+from gymnasium.spaces import Box, Dict, Space
 
 from manip.cameras import CameraConfig
 from manip.envs.task_batch import TaskBatch
@@ -42,7 +42,7 @@ def observation_space(batch: TaskBatch) -> Box | Dict:
     """The space of one environment's observation."""
     if not batch.cameras.names:
         return _numbers(batch.observation_spec.dim)
-    spaces: dict[str, Box] = {
+    spaces: dict[str, Space[Any]] = {
         role: _numbers(len(columns)) for role, columns in _roles(batch).items()
     }
     for part in batch.cameras.parts:

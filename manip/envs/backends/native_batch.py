@@ -96,7 +96,11 @@ class NativeBatch(DeepCopied, TaskBatch):
         )
         self.robot, self.fidelity = robot, fidelity
         cameras = check_cameras(episodes.cameras)
-        self._drawn = SceneCameras(self.scene, cameras) if cameras.names else None
+        self._drawn = (
+            SceneCameras(self.scene, cameras, self.engine.threads)
+            if cameras.names
+            else None
+        )
         action_dim = self.scene.layout.action_dim
         super().__init__(task, num_envs, action_dim, episodes, robot.control_freq)
         with blamed(task):
