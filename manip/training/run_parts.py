@@ -1,9 +1,10 @@
 """The parts of a training run, built from its options."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from manip.agents.agent import Agent
+from manip.agents.registry import load_algorithm
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.rewards.reward_function import RewardFunction
 from manip.training.averages import TrainingAverages
@@ -60,7 +61,7 @@ def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
     evaluator = Evaluator(config)
     check_memory(config, spaces_of(config, evaluator.env))
     agent = build_agent(config, evaluator.env)
-    notes = start_agent(config, agent, evaluator.env)
+    notes = [*start_agent(config, agent, evaluator.env), *_gradient_notes(config)]
     agent = with_preferences(config, agent, envs[0])
     guard = NanGuard(agent.optimisers(), config.faults == "stop")
     milestones = evaluator.env.batch.task.milestone_names
@@ -74,5 +75,12 @@ def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
         guard=guard,
         averages=TrainingAverages(milestones, weights),
         faults=FaultReport(envs, guard),
-        notes=notes,
+        notes=tuple(notes),
     )
+
+
+def _gradient_notes(config: TrainConfig) -> Iterator[str]:
+    """Say where gradients come from, if not from where the options say."""
+    native = load_algorithm(config.algo).has_native_gradients
+    if native and config.gradients == "native" and config.observe == "cameras":
+        yield "gradients: TorchRL's losses, as compiled ones are for the state only"
