@@ -15,7 +15,7 @@ CHECK := -c 'import sys; v = sys.version_info[:2]; sys.exit(v < (3, 11) and \
 	there is one, and name another Python: make setup PYTHON=python3.12" % ((sys.executable,) + v))'
 
 .DEFAULT_GOAL := help
-.PHONY: help setup peers test test-slow lint format demo lock clean
+.PHONY: help setup peers test test-slow test-browser lint format demo lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-10s  %s\n", $$1, $$2 }' Makefile
@@ -55,6 +55,11 @@ test: setup ## Run the fast tests
 
 test-slow: setup ## Run the slow tests
 	$(BIN)/python -m pytest -m slow $(PARALLEL)
+
+# Not in the lock, as for the peers. The browser is the machine's own Chromium or Chrome.
+test-browser: setup ## Test the labelling page in Chromium, which must be installed
+	$(PIP) install --quiet --constraint requirements.lock playwright
+	$(BIN)/python -m pytest -m browser
 
 lint: setup ## Check style, format and types
 	$(BIN)/ruff check

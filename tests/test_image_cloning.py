@@ -61,15 +61,14 @@ def missed(agent: BC) -> float:
     return l1_loss(action, test["expert_action"]).item()
 
 
-@pytest.mark.parametrize("shift", [0, 1])
-def test_it_learns_from_images_what_the_expert_does_with_the_state(shift: int) -> None:
-    agent = agent_of(replace(QUICK, image_shift=shift))
+def test_it_learns_from_images_what_the_expert_does_with_the_state() -> None:
+    agent = agent_of()
     before = missed(agent)
-    for seed in range(6):
+    for seed in range(4):
         losses = agent.update(labelled(256, seed))
     assert before > 0.25
-    assert missed(agent) < 0.08 + 0.05 * shift
-    assert losses["loss_prediction"] < 0.15 + 0.1 * shift
+    assert missed(agent) < 0.1
+    assert losses["loss_prediction"] < 0.2
 
 
 def test_the_losses_are_distances_of_actions_and_of_hidden_entries() -> None:
@@ -83,6 +82,16 @@ def test_the_losses_are_distances_of_actions_and_of_hidden_entries() -> None:
     losses = agent.update(batch)  # drawn with repeats, and of less precision
     assert losses["loss_actor"] == pytest.approx(action.item(), rel=0.05)
     assert losses["loss_prediction"] == pytest.approx(0.5 * hidden.item(), rel=0.05)
+
+
+def test_images_are_shifted_in_updates_only() -> None:
+    plain, shifted = (agent_of(replace(QUICK, image_shift=shift)) for shift in (0, 4))
+    batch = labelled(256)
+    losses = [agent.update(batch)["loss_actor"] for agent in (plain, shifted)]
+    assert losses[0] != losses[1]
+    again = agent_of(replace(QUICK, image_shift=4))
+    again.actor.load_state_dict(plain.actor.state_dict())
+    assert missed(again) == missed(plain)
 
 
 def test_a_weight_of_zero_leaves_the_prediction_out() -> None:

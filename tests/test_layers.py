@@ -37,6 +37,7 @@ HOME = {
     "robosuite": ("manip/sim/robosuite_factory.py", "tasks/scenes"),
     "dm_control": ("manip/sim/external/dm_control_sim.py",),
     "tyro": ("manip/programs",),
+    "flask": ("manip/preferences/page",),
     "envpool": ("manip/benchmarks",),
     "dm_env": ("manip/envs/adapters/dm_env.py",),
     "gymnasium": ("manip/envs/adapters", "manip/benchmarks"),

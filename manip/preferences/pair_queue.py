@@ -4,12 +4,13 @@ A training run, or `manip label --pairs`, appends pairs. Earlier lines never cha
 """
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from manip.errors import DamagedError
 from manip.io.json_lines import append_lines, read_lines
+from manip.preferences.clips import ID
 
 QUEUE = "queries.jsonl"
 """Name of the file in a folder of preferences."""
@@ -27,6 +28,11 @@ class Pair:
     """Id of the clip shown on the right."""
     run: str = ""
     """Which training run asks; empty for pairs that were drawn for no run."""
+
+    @property
+    def clips(self) -> frozenset[str]:
+        """The two clips, whichever is on the left."""
+        return frozenset((self.left, self.right))
 
 
 def read_pairs(folder: Path) -> list[Pair]:
@@ -46,11 +52,11 @@ def append_pairs(folder: Path, pairs: Iterable[Pair]) -> None:
 
 
 def _pair(line: dict[str, Any], place: str) -> Pair:
-    types = {"round": int, "left": str, "right": str}
-    wrong = [name for name, kind in types.items() if type(line.get(name)) is not kind]
-    if wrong or line["left"] == line["right"]:
+    number, left, right, run = (line.get(f.name, f.default) for f in fields(Pair))
+    ids = all(isinstance(clip, str) and ID.fullmatch(clip) for clip in (left, right))
+    if not ids or left == right or type(number) is not int or type(run) is not str:
         raise DamagedError(
             f"{place} is damaged: expected a round (whole number) and the ids of two "
             "different clips, left and right"
         )
-    return Pair(line["round"], line["left"], line["right"], str(line.get("run", "")))
+    return Pair(number, left, right, run)

@@ -1,4 +1,4 @@
-"""`manip list`: names of tasks, robots, algorithms, recipes and policies."""
+"""`manip list`: names of tasks, robots, algorithms, recipes, policies and tastes."""
 
 import json
 from collections.abc import Sequence
@@ -12,6 +12,7 @@ from manip.agents.registry import algorithm_names
 from manip.envs.external_task import external_names
 from manip.envs.task_registry import task_names
 from manip.io.printable import printable
+from manip.preferences.tastes import shipped_tastes
 from manip.programs import cli
 from manip.programs.output import console
 from manip.robot_config import CONTROLLERS, ROBOTS
@@ -20,7 +21,7 @@ from manip.training.recipes import recipe_names
 
 @dataclass(frozen=True)
 class List:
-    """List the names of tasks, robots, algorithms, action spaces, recipes, policies."""
+    """List the names of everything that can be chosen: tasks, robots, policies, ..."""
 
     json: bool = False
     """Print JSON instead of a table."""
@@ -47,6 +48,7 @@ def catalogue() -> dict[str, list[str]]:
         "action_spaces": list(CONTROLLERS),
         "recipes": recipe_names(),
         "policies": list(shipped_policies()),
+        "tastes": shipped_tastes(),
     }
 
 

@@ -11,10 +11,12 @@ from manip.sim.robosuite_log import quiet_robosuite
 
 PROGRAMS = {
     "train": "train a policy",
+    "label": "compare pairs of clips on a page in the browser",
     "evaluate": "measure a policy's success, in stock robosuite or natively",
     "render": "make a video of a policy",
     "reproduce": "rerun shipped recipes and compare with their results",
     "results": "show the results of the shipped recipes",
+    "reward": "learn a reward from comparisons, and show what it pays for",
     "replay": "repeat a control step whose numbers were not finite",
     "list": "list tasks, robots, algorithms, recipes, policies",
     "doctor": "check that this machine can run manip",

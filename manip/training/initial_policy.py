@@ -19,9 +19,11 @@ CAREFUL = {
     "critic_steps": 8_000,
     "critic_rollouts": 5,
     "initial_alpha": 0.01,
+    "initial_weight": 20.0,
 }
 """Options of --agent with which an initial policy is not lost at once: it collects from
-the first step, the critics learn before the actor does, and entropy counts little."""
+the first step, the critics learn before the actor does, entropy counts little, and the
+actor of SAC stays near the policy at first."""
 
 
 def starting_from(config: TrainConfig, where: str) -> TrainConfig:
