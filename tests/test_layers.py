@@ -13,7 +13,7 @@ TOWER = (
     {"errors"},
     {"untrusted_code"},
     {"compiled", "cpus", "observation", "plugins", "robot_config", "versions"},
-    {"cameras"},
+    {"cameras", "looks"},
     {"io"},
     {"rewards"},
     {"sim"},
