@@ -7,15 +7,17 @@ changes the figures little.
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
+from manip.benchmarks.camera_pictures import draw_pictures
 from manip.benchmarks.engine_steps import (
     engine_at_start,
     random_actions,
     scene_of,
 )
-from manip.benchmarks.rounds import Candidate, Comparison, Settings
+from manip.benchmarks.rounds import Candidate, Comparison, Measurements, Settings
 from manip.cameras import CameraConfig, Quality
 from manip.envs.task_registry import load_task
 from manip.robot_config import RobotConfig
@@ -52,7 +54,13 @@ def comparison(settings: Settings) -> Comparison:
         candidates,
         ratios=ratios,
         unit="frames per CPU second",
+        task=settings.task,
     )
+
+
+def plot(measurements: Measurements, path: Path) -> None:
+    """Draw the pictures themselves: see `manip.benchmarks.camera_pictures`."""
+    draw_pictures(measurements.comparison.task, path)
 
 
 def _states(task: str) -> tuple[Scene, Array]:
