@@ -219,7 +219,7 @@ def test_without_opengl_the_error_says_what_to_install(
     lift_scene: Scene, monkeypatch
 ) -> None:
     monkeypatch.setattr(gl, "find_backend", lambda: None)
-    with pytest.raises(UserError, match="no OpenGL backend .* install EGL"):
+    with pytest.raises(UserError, match=r"no OpenGL backend .* install EGL"):
         make_batch("Lift", scene=lift_scene, cameras=SMALL)
 
 
