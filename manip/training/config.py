@@ -12,6 +12,7 @@ from manip.errors import UserError, shown
 from manip.io.dataclass_values import build
 from manip.io.option_ranges import COUNT, NUMBER, SHARE, Range, check_options
 from manip.io.yaml_files import read_yaml
+from manip.preferences.label_options import LabelOptions
 from manip.robot_config import RobotConfig
 from manip.sim.scene import Fidelity
 from manip.training.reward_weights import parse_weights
@@ -21,9 +22,12 @@ Controller = Literal["OSC_POSE", "OSC_POSITION", "JOINT_POSITION", "JOINT_VELOCI
 MAY_CHANGE = {
     *("out", "resume", "steps", "threads", "wandb"),
     *("eval_every", "eval_episodes", "checkpoint_every", "faults"),
-    "save_buffer",
+    *("save_buffer", "preferences"),
 }
 """Options that may change when a run is resumed; the others made it what it is."""
+
+NESTED = ("labels", "agent")
+"""Options that are groups of options."""
 
 SCALE = "action_scale"
 """Option whose length is that of the controller's action."""
@@ -122,6 +126,11 @@ class TrainConfig:
     """Time between checkpoints [s]; each evaluation also writes one."""
     wandb: str | None = None
     """Log to this Weights & Biases project as well (needs the `wandb` extra)."""
+    preferences: Path | None = None
+    """Folder of clips and comparisons: the run learns from these, and from those that
+    it asks for (see --labels), instead of from the task's reward."""
+    labels: LabelOptions = field(default_factory=LabelOptions)
+    """Options of a run with --preferences."""
     agent: AgentConfig = field(default_factory=lambda: load_algorithm("sac").Config())
     """Options of the algorithm."""
 
@@ -156,7 +165,8 @@ class TrainConfig:
 def to_dict(config: TrainConfig) -> dict[str, Any]:
     """Return the options as plain values, fit for YAML."""
     plain = dataclasses.asdict(config) | {"out": str(config.folder)}
-    return _with_lists(plain) | {"agent": _with_lists(plain["agent"])}
+    plain |= {"preferences": config.preferences and str(config.preferences)}
+    return _with_lists(plain) | {name: _with_lists(plain[name]) for name in NESTED}
 
 
 def _with_lists(values: dict[str, Any]) -> dict[str, Any]:
@@ -166,7 +176,9 @@ def _with_lists(values: dict[str, Any]) -> dict[str, Any]:
 def lasting(config: TrainConfig) -> dict[str, Any]:
     """Return the options that must not change when a run is resumed: name -> value."""
     plain = to_dict(config)
-    plain |= {f"agent.{name}": value for name, value in plain.pop("agent").items()}
+    for group in NESTED:
+        options = plain.pop(group).items()
+        plain |= {f"{group}.{name}": value for name, value in options}
     return {name: value for name, value in plain.items() if name not in MAY_CHANGE}
 
 
@@ -200,8 +212,14 @@ def from_dict(values: dict[str, Any]) -> TrainConfig:
         raise UserError(f"algo must be text, not {shown(algo)}")
     _check_names(values)
     agent = build(load_algorithm(algo).Config, values.get("agent") or {})
-    rest = values | {"agent": agent, "out": Path(out) if isinstance(out, str) else out}
+    labels = build(LabelOptions, values.get("labels") or {})
+    rest = values | {"agent": agent, "labels": labels, "out": _path(out)}
+    rest |= {"preferences": _path(values.get("preferences"))}
     return build(TrainConfig, rest)
+
+
+def _path(value: Any) -> Any:
+    return Path(value) if isinstance(value, str) else value
 
 
 def _check_names(values: dict[str, Any]) -> None:

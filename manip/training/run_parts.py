@@ -17,6 +17,7 @@ from manip.training.initial_policy import start_agent
 from manip.training.inputs import spaces_of
 from manip.training.memory import check_memory
 from manip.training.nan_guard import NanGuard
+from manip.training.preferences import check_preferences, with_preferences
 
 
 @dataclass(frozen=True)
@@ -55,11 +56,13 @@ def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
     Raises:
         UserError: an option does not fit, or there is not enough memory.
     """
+    check_preferences(config)
     envs = training_envs(config)
     evaluator = Evaluator(config)
     check_memory(config, spaces_of(config, evaluator.env))
     agent = build_agent(config, evaluator.env)
     notes = [*start_agent(config, agent, evaluator.env), *_gradient_notes(config)]
+    agent = with_preferences(config, agent, envs[0])
     guard = NanGuard(agent.optimisers(), config.faults == "stop")
     milestones = evaluator.env.batch.task.milestone_names
     batch = envs[0].batch
