@@ -222,7 +222,7 @@ def test_lost_answers_are_said(tmp_path: Path) -> None:
     [
         ({"labels": {"taste": "spicy"}}, "taste"),
         ({"labels": {"start": 1, "clip_steps": 50}}, "only 0 clips to compare"),
-        ({"task": "robosuite/Lift"}, "clips need the states of the batch engine"),
+        ({"task": "robosuite/Lift", "fidelity": "exact"}, "states"),
     ],
 )
 def test_what_cannot_work_is_refused(
