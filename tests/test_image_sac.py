@@ -177,7 +177,7 @@ def test_a_run_resumes_bit_for_bit_and_its_policy_starts_another(
     whole = starting_from(run_of(tmp_path, out=str(tmp_path / "whole")), where)
     trainer = new_trainer(whole)
     loaded, gradients = trainer.parts.notes
-    assert "all layers loaded" in loaded
+    assert "layers loaded; new: the critics" in loaded
     assert "TorchRL's losses" in gradients
     policy, actor = load_policy(where).actor, trainer.parts.agent.actor
     state = torch.ones(3, 7), torch.full((3, 16, 16, 6), 9, dtype=torch.uint8)

@@ -55,7 +55,7 @@ def test_the_initial_actor_acts_as_the_policy(algo: str, given: str, tmp_path) -
     policy = load_policy(finished(given).config.folder)
     actor = trainer.parts.agent.actor
     assert torch.equal(actor.decide(states()), policy.actor.decide(states()))
-    assert "all layers loaded; the critics are new" in trainer.parts.notes[0]
+    assert "layers loaded; new: the critics" in trainer.parts.notes[0]
 
 
 @pytest.mark.parametrize(("algo", "given"), [("sac", "bc"), ("ppo", "bc")])
@@ -150,7 +150,7 @@ def test_a_policy_that_knows_no_part_is_refused(tmp_path: Path) -> None:
         ({"controller": "OSC_POSITION"}, "controller OSC_POSE, not OSC_POSITION"),
         ({"init": "no/such"}, "no/such holds no policy"),
         ({"algo": "ppo", "agent": {}}, "squash is False, not True"),
-        ({"algo": "dqn", "agent": {}}, "no actor that a policy could start"),
+        ({"algo": "dqn", "agent": {}}, "dqn has no actor that could start"),
     ],
 )
 def test_a_policy_that_does_not_fit_is_refused(changes, message, tmp_path) -> None:
@@ -160,7 +160,7 @@ def test_a_policy_that_does_not_fit_is_refused(changes, message, tmp_path) -> No
 
 
 def test_the_options_of_the_network_and_a_careful_start_come_with_it() -> None:
-    config = starting_from(recipe("Stack", "sac"), "Lift")
+    config = starting_from(recipe("Lift", "sac"), "Lift")
     policy = load_policy("Lift")
     assert config.init == "Lift"
     for name in ("actor_hidden", "action_scale"):
@@ -168,6 +168,14 @@ def test_the_options_of_the_network_and_a_careful_start_come_with_it() -> None:
     for name in ("random_steps", "critic_steps", "initial_alpha"):
         assert getattr(config.agent, name) == CAREFUL[name]
     assert from_dict({"init": "Lift"}).init == "Lift"
+
+
+def test_another_task_takes_the_network_only() -> None:
+    own = recipe("Stack", "sac")
+    config = starting_from(own, "Lift")
+    taken = network_options(load_policy("Lift").actor)
+    changed = {k: v for k, v in taken.items() if hasattr(own.agent, k)}
+    assert config == replace(own, init="Lift", agent=replace(own.agent, **changed))
 
 
 def copies(agent: Agent) -> dict[str, torch.Tensor]:

@@ -29,6 +29,9 @@ class AgentConfig:
     workers = 1
     """Groups of environments whose rollouts are collected side by side."""
 
+    asynchronous = False
+    """Learn from the rollouts of the groups as they end, not in turns."""
+
 
 @dataclass(frozen=True)
 class Spaces:
@@ -71,6 +74,7 @@ class Agent(ABC):
         sees_images: its actor may see camera images (`Spaces.actor`).
         prefers: learns from compared clips (`relabel`, `compare`), not from the
             environment's reward: needs a run with `--preferences`.
+        image_copies: copies of each image in its replay buffer, to check the memory.
         has_native_gradients: its constructor takes the keyword `gradients`, "native" or
             "torchrl"; others always learn through TorchRL's losses and autograd.
     """
@@ -80,6 +84,7 @@ class Agent(ABC):
     off_policy: ClassVar[bool] = False
     imitates: ClassVar[bool] = False
     sees_images: ClassVar[bool] = False
+    image_copies: ClassVar[int] = 1
     prefers: ClassVar[bool] = False
     has_native_gradients: ClassVar[bool] = False
 

@@ -75,7 +75,13 @@ class JobResult:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a job ended: finished, failed with an error, or stopped and saved before."""
+    """How a job ended.
+
+    Attributes:
+        status: finished, failed, or stopped (and saved) before its end.
+        result: of a finished job.
+        error: why it failed, or what a stopped one waits for, such as people's answers.
+    """
 
     status: Literal["finished", "failed", "stopped"]
     result: JobResult | None = None
@@ -103,10 +109,9 @@ class Executor(Protocol):
 
 
 def evaluation_key(options: EvaluationOptions | None) -> dict[str, str | int]:
-    """The options that decide the result of an evaluation, as plain values."""
-    if options is None:
-        return {}
-    return {k: v for k, v in asdict(options).items() if k != "processes"}
+    """The options that decide the result of an evaluation, without those not set."""
+    values = asdict(options) if options else {}
+    return {k: v for k, v in values.items() if k != "processes" and v is not None}
 
 
 def finished_result(job: Job) -> JobResult | None:

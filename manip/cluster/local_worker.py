@@ -4,7 +4,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -18,7 +18,7 @@ from manip.envs.backends.worker_pool import end_with_parent
 from manip.sim.robosuite_log import quiet_robosuite
 
 REPORT_EVERY = 0.2
-"""Seconds between two reports of a job; messages are sent at once."""
+"""Seconds between two reports of a job on this machine."""
 
 
 def log_of(job: Job, logs: Path | None) -> Path:
@@ -26,25 +26,37 @@ def log_of(job: Job, logs: Path | None) -> Path:
     return logs / f"{job.name}.log" if logs else Path(os.devnull)
 
 
+def append_lines(path: Path, lines: Iterable[str]) -> None:
+    """Append lines to a text file, in a folder that may be missing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a", encoding="utf-8") as file:
+        file.writelines(f"{line}\n" for line in lines)
+
+
 class Reporter:
-    """Pass on reports at most every `REPORT_EVERY` seconds, those with messages always.
+    """Pass on reports every few seconds at most, those with messages always.
 
     Args:
         send: receives the reports.
         log: text file that messages are appended to.
+        every: seconds between two reports.
     """
 
-    def __init__(self, send: Callable[[Report], object], log: Path) -> None:
-        self._send, self._log, self._last = send, log, 0.0
-        log.parent.mkdir(parents=True, exist_ok=True)
+    def __init__(
+        self,
+        send: Callable[[Report], object],
+        log: Path,
+        every: float = REPORT_EVERY,
+    ) -> None:
+        self._send, self._log, self._every = send, log, every
+        self._last = 0.0
 
     def __call__(self, report: Report) -> None:
         """Pass on the report, or drop it."""
         now = time.monotonic()
         if report.messages:
-            with self._log.open("a", encoding="utf-8") as file:
-                file.writelines(f"{message}\n" for message in report.messages)
-        elif now - self._last < REPORT_EVERY:
+            append_lines(self._log, report.messages)
+        elif now - self._last < self._every:
             return
         self._last = now
         self._send(report)

@@ -4,7 +4,6 @@ import csv
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from io import StringIO
-from itertools import chain
 from math import isnan
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -26,6 +25,7 @@ from manip.studies.learning import (
     clipping_variants,
     evaluations,
 )
+from manip.training.config import TrainConfig
 
 Measure = Callable[["Study"], list[Any]]
 Figures = Mapping[str, Callable[[Sequence[Any], Path], None]]
@@ -68,6 +68,8 @@ class Study:
     """Rollouts per stage of `gradients`; more rollouts give narrower intervals."""
     length: int = 40
     """Control steps at the start of an episode that enter a gradient."""
+    processes: int | None = None
+    """Number of runs at a time; one for each usable CPU unless given."""
     out: Path = Path("runs/study")
     """Folder for tables, figures and runs; finished runs in it are not repeated."""
 
@@ -93,8 +95,9 @@ def _check(options: Study) -> None:
     for name in ("seeds", "length"):
         at_least(1, f"--{name}", getattr(options, name))
     at_least(FEWEST_ROLLOUTS, "--rollouts", options.rollouts)
-    if options.steps is not None:
-        at_least(1, "--steps", options.steps)
+    for name in ("steps", "processes"):
+        if getattr(options, name) is not None:
+            at_least(1, f"--{name}", getattr(options, name))
     for stage in options.stages:
         at_least(0, "--stages", stage)
     if not 0 <= options.gamma <= 1:
@@ -136,19 +139,21 @@ def _progress(study: GradientStudy, row: GradientRow) -> str:
 
 def _clipping(options: Study) -> list[Evaluation]:
     variants = clipping_variants(options.tasks[0], options.steps)
-    return list(evaluations(variants, range(options.seeds), options.out / "runs"))
+    return _evaluations(options, variants)
 
 
 def _algorithms(options: Study) -> list[Evaluation]:
-    runs = (
-        evaluations(
-            algorithm_variants(task, options.algos, options.steps),
-            range(options.seeds),
-            options.out / "runs",
-        )
-        for task in options.tasks
-    )
-    return list(chain.from_iterable(runs))
+    variants = [
+        algorithm_variants(task, options.algos, options.steps) for task in options.tasks
+    ]
+    return [row for group in variants for row in _evaluations(options, group)]
+
+
+def _evaluations(
+    options: Study, variants: Mapping[str, TrainConfig]
+) -> list[Evaluation]:
+    seeds = range(options.seeds)
+    return evaluations(variants, seeds, options.out / "runs", options.processes)
 
 
 STUDIES: dict[str, tuple[Measure, Figures]] = {
