@@ -6,6 +6,7 @@ from threading import Event
 from typing import Any
 
 import pytest
+from clip_files import cut_all, recorded
 from training_runs import (
     assert_equal_runs,
     new_trainer,
@@ -17,8 +18,9 @@ from training_runs import (
 from manip.envs.backends import native_batch
 from manip.errors import DamagedError, UserError
 from manip.io.json_lines import read_lines
+from manip.io.yaml_files import dump_yaml
 from manip.preferences import label_folder
-from manip.preferences.clips import load_clip
+from manip.preferences.clips import load_clip, save_clip
 from manip.preferences.comparisons import append_comparison, valid_comparisons
 from manip.preferences.label_folder import LabelFolder
 from manip.preferences.labellers import TasteCriterion, make_labeller
@@ -268,3 +270,19 @@ def test_algorithms_of_preferences_need_a_folder(algo: str, tmp_path: Path) -> N
     config = from_dict({"task": "Reach", "algo": algo, "out": str(tmp_path / "run")})
     with pytest.raises(UserError, match="give a folder for them with --preferences"):
         Trainer(config, print, None, Event())
+
+
+def test_answers_to_other_clips_are_refused_before_the_run(tmp_path: Path) -> None:
+    folder = tmp_path / "labels"
+    clips = cut_all(*recorded("Lift"))[:2]
+    append_comparison(folder, "Ada", tuple(save_clip(folder, c) for c in clips), "left")
+    with pytest.raises(UserError, match="has task Lift, not Reach"):
+        new_trainer(config_of(tmp_path))
+
+
+def test_a_taste_of_other_measures_is_refused_before_the_run(tmp_path: Path) -> None:
+    taste = tmp_path / "mine.yaml"
+    term = {"measure": "object_height", "above": 0.1, "full": 0.1, "weight": 1.0}
+    taste.write_text(dump_yaml({"words": "Low.", "terms": [term]}))
+    with pytest.raises(UserError, match="unknown measure 'object_height'"):
+        new_trainer(config_of(tmp_path, labels={"taste": str(taste)}))
