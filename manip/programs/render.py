@@ -49,7 +49,8 @@ class Render:
     seed: int = 0
     """Seed of the episodes' random streams, the same as of `manip evaluate`."""
     camera: str = WORKSPACE
-    """Camera: workspace, or one of the model's own (frontview, sideview, ...)."""
+    """Camera: workspace, closeup, or one of the model's own (frontview, sideview,
+    ...)."""
     width: int = 640
     """Width of the picture [pixel]."""
     height: int = 480
