@@ -1,0 +1,163 @@
+"""Study of learning from preferences: train the variants, and judge each policy."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from manip.cluster.executors import local_executor, run_jobs
+from manip.cluster.job import Job
+from manip.errors import UserError, one_line
+from manip.io.atomic_files import write_text
+from manip.io.dataclass_values import build
+from manip.studies.rlhf_judge import Judge, Judgement
+from manip.studies.rlhf_variants import REFERENCE, Variant
+from manip.training.config import TrainConfig, check_lasting, lasting, recorded
+
+
+@dataclass(frozen=True)
+class PreferenceRow:
+    """A judged policy.
+
+    Attributes:
+        task, taste: what it was trained for.
+        variant, seed, env_steps: of its run.
+        labels: comparisons that its run was to learn from; 0 without any.
+        episodes, held, ...: see `Judgement`.
+    """
+
+    task: str
+    taste: str
+    variant: str
+    seed: int
+    env_steps: int
+    labels: int
+    episodes: int
+    held: float
+    reward: float
+    penalty: float
+    utility: float
+    learned: float
+    divergence: float
+
+
+@dataclass(frozen=True)
+class PreferenceStudy:
+    """Runs with several seeds, each from a reference of the same seed.
+
+    Attributes:
+        variants: name -> variant; the reference is among them.
+        seeds: of the runs.
+        judge: judges every policy.
+        folder: for the runs and their labels. Finished runs in it are not repeated,
+            and interrupted ones are resumed.
+    """
+
+    variants: Mapping[str, Variant]
+    seeds: Sequence[int]
+    judge: Judge
+    folder: Path
+
+    def rows(self) -> list[PreferenceRow]:
+        """Train and judge all variants, one stage after the other.
+
+        Raises:
+            UserError: a run failed, or its folder holds a run with other options.
+            KeyboardInterrupt: it was interrupted, and the runs are saved.
+        """
+        reference = self.variants[REFERENCE]
+        rows = list(self._stage([reference], 0))
+        others = [v for v in self.variants.values() if v != reference]
+        for stage in range(max((len(v.stages) for v in others), default=0)):
+            rows += self._stage([v for v in others if stage < len(v.stages)], stage)
+        return rows
+
+    def _stage(self, variants: Sequence[Variant], stage: int) -> Iterator[PreferenceRow]:
+        cells = [(variant, seed) for seed in self.seeds for variant in variants]
+        left = [cell for cell in cells if self._judged(*cell, stage) is None]
+        self._train([self._job(*cell, stage) for cell in left])
+        for variant, seed in cells:
+            yield self._row(variant, seed, stage)
+
+    def _job(self, variant: Variant, seed: int, stage: int) -> Job:
+        config = self._config(variant, seed, stage)
+        if (config.folder / "config.yaml").is_file():
+            check_lasting(lasting(recorded(config.folder)), config)
+        return Job(config.folder.name, config)
+
+    def _train(self, jobs: Sequence[Job]) -> None:
+        if not jobs:
+            return
+        executor, jobs = local_executor(jobs, None)
+        outcomes = run_jobs(jobs, executor)
+        for job in jobs:
+            outcome = outcomes.get(job.name)
+            if outcome is None or outcome.status == "stopped":
+                raise KeyboardInterrupt
+            if outcome.status == "failed":
+                raise UserError(f"{job.config.folder}: {outcome.error}")
+
+    def _config(self, variant: Variant, seed: int, stage: int) -> TrainConfig:
+        """Options of a run up to the end of a stage."""
+        config = replace(
+            variant.config,
+            seed=seed,
+            out=self._run(variant.name, seed),
+            steps=variant.stages[stage],
+            eval_every=variant.stages[stage],
+        )
+        if variant.name == REFERENCE:
+            return config
+        reference = {"reference": str(self._run(REFERENCE, seed))}
+        config = replace(config, agent=replace(config.agent, **reference))
+        if not variant.compares:
+            return config
+        labels = replace(config.labels, seed=seed)
+        return replace(config, labels=labels, preferences=self._labels(variant, seed))
+
+    def _run(self, name: str, seed: int) -> Path:
+        return self.folder / "runs" / f"{name}-{seed}".replace(", ", "-").replace(" ", "-")
+
+    def _labels(self, variant: Variant, seed: int) -> Path:
+        return self.folder / "labels" / self._run(variant.name, seed).name
+
+    def _row(self, variant: Variant, seed: int, stage: int) -> PreferenceRow:
+        judgement = self._judged(variant, seed, stage)
+        if judgement is None:
+            judgement = self.judge(
+                self._run(variant.name, seed),
+                self._run(REFERENCE, seed),
+                self._labels(variant, seed) if variant.compares else None,
+            )
+            text = json.dumps(asdict(judgement), indent=2) + "\n"
+            write_text(self._file(variant, seed, stage), text)
+        return PreferenceRow(
+            task=self.judge.task,
+            taste=self.judge.taste,
+            variant=variant.name,
+            seed=seed,
+            env_steps=variant.stages[stage],
+            labels=variant.config.labels.total if variant.compares else 0,
+            **asdict(judgement),
+        )
+
+    def _judged(self, variant: Variant, seed: int, stage: int) -> Judgement | None:
+        """The judgement in the run folder, if there is one."""
+        path = self._file(variant, seed, stage)
+        if not path.is_file():
+            return None
+        try:
+            judgement = build(Judgement, json.loads(path.read_text(encoding="utf-8")))
+        except (ValueError, RecursionError) as error:
+            message = f"{path} is damaged: {one_line(error)}; remove it"
+            raise UserError(message) from error
+        if judgement.episodes != self.judge.episodes:
+            raise UserError(
+                f"{path} is of {judgement.episodes} episodes, not "
+                f"{self.judge.episodes}: choose another --out, or as many --episodes"
+            )
+        return judgement
+
+    def _file(self, variant: Variant, seed: int, stage: int) -> Path:
+        steps = variant.stages[stage]
+        return self._run(variant.name, seed) / f"judgement-{steps}.json"
