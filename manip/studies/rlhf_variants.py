@@ -52,6 +52,9 @@ NUM_ENVS, HORIZON = 64, 100
 START = 8_192
 """Control steps of the reference from which the first clips are cut."""
 
+PPO = {"critic_rollouts": 5, "entropy_coefficient": 0.0}
+"""Options of PPO-KL: fine-tuning needs a critic first, and no exploration bonus."""
+
 RAW: Inputs = "observation+action"
 
 
@@ -150,13 +153,14 @@ class Variants:
 
     def _true(self) -> Variant:
         """The taste itself as the reward, without a penalty: an upper bound."""
-        config = self._config("ppo-kl", {"reference_beta": 0.0})
+        config = self._config("ppo-kl", PPO | {"reference_beta": 0.0})
         return Variant(TRUE, replace(config, taste=self.taste), (self.steps,))
 
     def _ppo(
         self, name: str, labels: LabelOptions, beta: float = BETA, stages: int = 1
     ) -> Variant:
-        return self._variant(name, "ppo-kl", labels, stages, reference_beta=beta)
+        agent = PPO | {"reference_beta": beta}
+        return self._variant(name, "ppo-kl", labels, stages, **agent)
 
     def _variant(
         self, name: str, algo: str, labels: LabelOptions, stages: int = 1, **agent: Any
