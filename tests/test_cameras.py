@@ -42,8 +42,8 @@ def state_of(batch: TaskBatch) -> Array:
     return np.concatenate([data.qpos, data.qvel, data.qacc_warmstart, *hidden])
 
 
-def rows_around(engine: BatchEngine, state: Array) -> Array:
-    """The state between two others, whose fields and poses differ from it."""
+def rows_after(engine: BatchEngine, state: Array) -> Array:
+    """The state after another one, whose fields and pose differ from it."""
     rows = engine.states.copy()
     rows[1, : len(state)] = state
     return rows
@@ -64,11 +64,11 @@ def assert_pictures_are_robosuites(
 ) -> None:
     task, cameras = load_task(name), CameraConfig(BOTH, size)
     stock = make_batch(task, backend="stock", cameras=cameras)
-    native = make_batch(task, 3, seed=5)
-    native.begin(np.arange(3))
+    native = make_batch(task, 2, seed=5)
+    native.begin(np.arange(2))
     drawn = SceneCameras(native.scene, cameras)
     for theirs in played(stock, resets, steps):
-        ours = drawn.draw(rows_around(native.engine, state_of(stock)))
+        ours = drawn.draw(rows_after(native.engine, state_of(stock)))
         for part in theirs:
             np.testing.assert_array_equal(ours[part][1], theirs[part][0])
             assert (ours[part][0] != theirs[part][0]).any()
@@ -79,8 +79,8 @@ def test_pictures_are_robosuites_byte_for_byte() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [32, 64, 84, 128])
-@pytest.mark.parametrize("name", ["Lift", "PickPlaceCan", "Door", "Reach", "Stack"])
+@pytest.mark.parametrize("size", [32, 64, 128])
+@pytest.mark.parametrize("name", ["Lift", "PickPlaceCan", "Door"])
 def test_every_picture_of_two_episodes_is_robosuites(name: str, size: int) -> None:
     assert_pictures_are_robosuites(name, size, resets=2, steps=20)
 
@@ -316,3 +316,57 @@ def test_open_renderers_end_without_a_word() -> None:
 @pytest.mark.slow
 def test_external_renderers_end_without_a_word() -> None:
     assert_ends_in_silence("robosuite/Lift", [{}])
+
+
+def looking(scene: Scene, looks: float | str, num_envs: int = 3) -> TaskBatch:
+    batch = make_batch(
+        "Lift",
+        num_envs,
+        scene=scene,
+        seed=4,
+        looks=looks,
+        cameras=CameraConfig((WRIST,), 16, "lean"),
+    )
+    batch.begin(np.arange(num_envs))
+    return batch
+
+
+def test_looks_change_pictures_and_nothing_else(lift_scene: Scene) -> None:
+    plain, varied = looking(lift_scene, 0.0), looking(lift_scene, 1.0)
+    for seed in range(2):
+        before, after = (b.step(actions(b, seed)) for b in (plain, varied))
+        np.testing.assert_array_equal(before.observation, after.observation)
+        different = before.images[PART] != after.images[PART]
+        assert different.any(axis=(1, 2, 3)).all()
+    state, last = varied.save_state(), varied.observe().images[PART]
+    varied.begin(np.arange(3))
+    assert (varied.observe().images[PART] != last).any()
+    varied.load_state(state)
+    again = varied._drawn.draw(varied.engine.states, varied._looks.seeds)[PART]
+    np.testing.assert_array_equal(again, last)
+
+
+@pytest.mark.slow
+def test_a_suite_has_three_looks_that_return(lift_scene: Scene) -> None:
+    for suite in ("unseen-textures", "unseen-lights", "unseen-cameras"):
+        batch = looking(lift_scene, suite, 6)
+        seeds = batch._looks.seeds
+        assert seeds.tolist() == [1, 2, 3, 1, 2, 3]
+        rows = batch.engine.states[[0] * 6]
+        pictures = batch._drawn.draw(rows, seeds)[PART]
+        np.testing.assert_array_equal(pictures[:3], pictures[3:])
+        assert all((pictures[i] != pictures[i - 1]).any() for i in range(3))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"looks": 2.0}, "a strength from 0 to 1 .*, not 2.0"),
+        ({"looks": "unsen"}, "unknown suite of looks 'unsen': did you mean 'unseen'"),
+        ({"looks": 0.5, "cameras": None}, "looks change pictures only"),
+        ({"looks": 0.5, "backend": "stock"}, "choose the native backend for looks 0.5"),
+    ],
+)
+def test_looks_out_of_range_are_refused(options: dict, message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        make_batch("Lift", **{"cameras": SMALL, **options})

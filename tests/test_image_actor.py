@@ -11,6 +11,7 @@ from manip.agents.image_actor import ImageActor
 from manip.agents.image_encoder import ImageEncoder, random_shift
 from manip.agents.make_actor import ImageConfig, make_actor
 from manip.agents.networks import Actor
+from manip.errors import UserError
 from manip.observation import ObservationPart, ObservationSpec
 
 SPEC = ObservationSpec(
@@ -48,6 +49,15 @@ def test_an_actor_sees_proprioception_and_cameras_but_no_objects() -> None:
     assert [image.shape for image in images] == [(4, 16, 16, 3), (4, 12, 12, 6)]
     visible = ("joint_pos", "eef_pos", "wrist_image", "front_image")
     assert seen_parts(SPEC, inputs).names == visible
+
+
+def test_other_parts_are_seen_by_name_in_the_order_of_the_observation() -> None:
+    inputs = camera_inputs(SPEC, ("eef_pos", "cube"))
+    assert inputs.columns == (2, 3, 4, 5)
+    assert seen_parts(SPEC, inputs).names[:2] == ("cube", "eef_pos")
+    for wrong in ("cup", "wrist_image"):
+        with pytest.raises(UserError, match=f"part {wrong!r}"):
+            camera_inputs(SPEC, (wrong,))
 
 
 def test_without_choice_the_actor_sees_the_joined_vector_itself() -> None:

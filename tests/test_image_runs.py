@@ -12,8 +12,15 @@ from manip.agents.networks import Actor
 from manip.agents.policy import Policy, load_policy
 from manip.agents.policy_card import PolicyCard
 from manip.cameras import CameraConfig
+from manip.envs.make_batch import Backend
 from manip.errors import UserError
-from manip.training.build import evaluation_env, training_envs
+from manip.evaluation.runners import EpisodeSettings, evaluate_policy
+from manip.training.build import (
+    build_agent,
+    evaluation_env,
+    policy_of,
+    training_envs,
+)
 from manip.training.config import TrainConfig, from_dict
 from manip.training.inputs import spaces_of
 from manip.training.memory import check_memory
@@ -157,3 +164,23 @@ def test_images_count_in_the_memory_that_a_run_needs(tmp_path: Path) -> None:
     check_memory(config, replace(spaces, actor=None))
     with pytest.raises(UserError, match=r"1,000,000 steps needs at least 1,46\d"):
         check_memory(config, spaces)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("backend", ["native", "stock"])
+def test_a_policy_is_evaluated_with_the_images_of_either_backend(
+    backend: Backend, tmp_path: Path
+) -> None:
+    config = options(tmp_path, teacher=None, eval_episodes=1)
+    env = evaluation_env(config)
+    policy = policy_of(build_agent(config, env), config, env, 0)
+    settings = EpisodeSettings(
+        TASK,
+        config.robot_config,
+        policy.card.observation,
+        policy.card.cameras,
+        episodes=1,
+        backend=backend,
+    )
+    (episode,) = evaluate_policy(policy, settings)
+    assert 0 < episode.steps <= 8

@@ -2,11 +2,13 @@
 
 from copy import deepcopy
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from sameness import assert_same
+from test_image_runs import options
 from test_sac import shake
 from torch import Tensor
 from torch.distributions import Normal
@@ -20,11 +22,15 @@ from toy_images import (
     mean_return,
     picture,
 )
+from training_runs import assert_equal_runs, new_trainer, stop_after
 
 from manip.agents.image_sac import ImageGradients, actor_inputs_of
+from manip.agents.policy import load_policy
 from manip.agents.replay import ImageTransitions
 from manip.agents.sac import SAC
 from manip.training.collector import Rollout
+from manip.training.config import TrainConfig
+from manip.training.initial_policy import starting_from
 
 
 def batch_of(count: int = 16, seed: int = 0) -> ImageTransitions:
@@ -142,6 +148,47 @@ def test_a_restored_agent_goes_on_bit_for_bit() -> None:
         modules = {name: m.state_dict() for name, m in agent.modules().items()}
         ends.append({"modules": modules, "agent": agent.extra_state()})
     assert_same(*ends)
+
+
+def run_of(folder: Path, **changes: Any) -> TrainConfig:
+    agent = {
+        "rollout_length": 4,
+        "batch_size": 16,
+        "buffer_size": 48,
+        "actor_hidden": [16],
+        "critic_hidden": [16],
+        "random_steps": 16,
+        "updates_per_step": 0.5,
+        "image_channels": [4, 8],
+        "image_features": 8,
+        "image_shift": 1,
+    }
+    return options(folder, algo="sac", teacher=None, agent=agent, **changes)
+
+
+@pytest.mark.slow
+def test_a_run_resumes_bit_for_bit_and_its_policy_starts_another(
+    tmp_path: Path,
+) -> None:
+    """The second run fine-tunes the first one's policy, in one piece and in two."""
+    first = run_of(tmp_path)
+    assert new_trainer(first).run()
+    where = str(first.folder)
+    whole = starting_from(run_of(tmp_path, out=str(tmp_path / "whole")), where)
+    trainer = new_trainer(whole)
+    loaded, gradients = trainer.parts.notes
+    assert "layers loaded; new: the critics" in loaded
+    assert "TorchRL's losses" in gradients
+    policy, actor = load_policy(where).actor, trainer.parts.agent.actor
+    state = torch.ones(3, 7), torch.full((3, 16, 16, 6), 9, dtype=torch.uint8)
+    assert torch.equal(policy.decide(*state), actor.decide(*state))
+    assert trainer.run()
+    parts = replace(whole, out=tmp_path / "parts")
+    stopped = new_trainer(parts)
+    stop_after(stopped, 2)
+    assert not stopped.run()
+    assert new_trainer(replace(parts, resume=True)).run()
+    assert_equal_runs(whole.folder, parts.folder)
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])

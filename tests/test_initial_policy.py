@@ -17,6 +17,8 @@ from training_runs import (
 )
 
 from manip.agents.agent import Agent
+from manip.agents.image_actor import ImageActor
+from manip.agents.image_encoder import EncoderSizes
 from manip.agents.initial_actor import initial_actor, network_options
 from manip.agents.networks import Actor
 from manip.agents.policy import Policy, load_policy
@@ -53,7 +55,7 @@ def test_the_initial_actor_acts_as_the_policy(algo: str, given: str, tmp_path) -
     policy = load_policy(finished(given).config.folder)
     actor = trainer.parts.agent.actor
     assert torch.equal(actor.decide(states()), policy.actor.decide(states()))
-    assert "all layers loaded; the critics are new" in trainer.parts.notes[0]
+    assert "layers loaded; new: the critics" in trainer.parts.notes[0]
 
 
 @pytest.mark.parametrize(("algo", "given"), [("sac", "bc"), ("ppo", "bc")])
@@ -97,6 +99,41 @@ def test_inputs_are_matched_by_name_and_unknown_ones_have_no_effect(normalise) -
     torch.testing.assert_close(new.decide(new_inputs), old.decide(old_inputs))
 
 
+def camera(name: str) -> ObservationPart:
+    return ObservationPart(f"{name}_image", (8, 8, 3), "uint8", "camera")
+
+
+def image_actor(vector_dim: int, cameras: int) -> ImageActor:
+    sizes = EncoderSizes(((8, 8, 3),) * cameras, (4,), 5)
+    return ImageActor(sizes, vector_dim, 3, (8,), squash=True, normalise=False)
+
+
+def test_encoders_are_matched_by_their_cameras() -> None:
+    """The old network sees a, left, right; the new one b, a, right, top, left."""
+    torch.manual_seed(0)
+    card = load_policy(finished("bc").config.folder).card
+    spec = ObservationSpec((*spec_of("a").parts, camera("left"), camera("right")))
+    old = image_actor(2, cameras=2)
+    policy = Policy(replace(card, observation=spec.to_dict()), old)
+    views = camera("right"), camera("top"), camera("left")
+    new = image_actor(4, cameras=3)
+    spec = ObservationSpec((*spec_of("b", "a").parts, *views))
+    initial = initial_actor(policy, new, spec, "x")
+    new.load_state_dict(initial.weights)
+    assert initial.new == ["b", "top_image"]
+    a, b = torch.randn(2, 5, 2)
+    left, right, top = torch.randint(256, (3, 5, 8, 8, 3), dtype=torch.uint8)
+    torch.testing.assert_close(
+        new.decide(torch.cat([b, a], 1), right, top, left), old.decide(a, left, right)
+    )
+
+
+def test_an_actor_that_sees_cameras_does_not_start_from_one_that_does_not() -> None:
+    policy = load_policy(finished("bc").config.folder)
+    with pytest.raises(UserError, match="in x sees the state: it starts an actor that"):
+        initial_actor(policy, image_actor(2, 1), spec_of("a"), "x")
+
+
 def test_a_policy_that_knows_no_part_is_refused(tmp_path: Path) -> None:
     policy = load_policy(finished("bc").config.folder)
     new = Actor(2, 7, (16,), squash=True, normalise=False)
@@ -113,7 +150,7 @@ def test_a_policy_that_knows_no_part_is_refused(tmp_path: Path) -> None:
         ({"controller": "OSC_POSITION"}, "controller OSC_POSE, not OSC_POSITION"),
         ({"init": "no/such"}, "no/such holds no policy"),
         ({"algo": "ppo", "agent": {}}, "squash is False, not True"),
-        ({"algo": "dqn", "agent": {}}, "no actor that a policy could start"),
+        ({"algo": "dqn", "agent": {}}, "dqn has no actor that could start"),
     ],
 )
 def test_a_policy_that_does_not_fit_is_refused(changes, message, tmp_path) -> None:
@@ -123,7 +160,7 @@ def test_a_policy_that_does_not_fit_is_refused(changes, message, tmp_path) -> No
 
 
 def test_the_options_of_the_network_and_a_careful_start_come_with_it() -> None:
-    config = starting_from(recipe("Stack", "sac"), "Lift")
+    config = starting_from(recipe("Lift", "sac"), "Lift")
     policy = load_policy("Lift")
     assert config.init == "Lift"
     for name in ("actor_hidden", "action_scale"):
@@ -131,6 +168,14 @@ def test_the_options_of_the_network_and_a_careful_start_come_with_it() -> None:
     for name in ("random_steps", "critic_steps", "initial_alpha"):
         assert getattr(config.agent, name) == CAREFUL[name]
     assert from_dict({"init": "Lift"}).init == "Lift"
+
+
+def test_another_task_takes_the_network_only() -> None:
+    own = recipe("Stack", "sac")
+    config = starting_from(own, "Lift")
+    taken = network_options(load_policy("Lift").actor)
+    changed = {k: v for k, v in taken.items() if hasattr(own.agent, k)}
+    assert config == replace(own, init="Lift", agent=replace(own.agent, **changed))
 
 
 def copies(agent: Agent) -> dict[str, torch.Tensor]:

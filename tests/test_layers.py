@@ -13,7 +13,7 @@ TOWER = (
     {"errors"},
     {"untrusted_code"},
     {"compiled", "cpus", "observation", "plugins", "robot_config", "versions"},
-    {"cameras"},
+    {"cameras", "looks"},
     {"io"},
     {"rewards"},
     {"sim"},
@@ -41,6 +41,7 @@ HOME = {
     "envpool": ("manip/benchmarks",),
     "dm_env": ("manip/envs/adapters/dm_env.py",),
     "gymnasium": ("manip/envs/adapters", "manip/benchmarks"),
+    "ray": ("manip/cluster/ray_executor.py", "manip/cluster/ray_task.py"),
     "stable_baselines3": ("manip/envs/adapters/sb3.py", "manip/benchmarks"),
 }
 """Library -> the only places that import it."""

@@ -196,6 +196,7 @@ def tiny(monkeypatch, tmp_path: Path) -> Path:
 def test_a_recipe_is_reproduced_and_compared(tiny: Path, tmp_path: Path) -> None:
     record = tmp_path / "record.json"
     command = ["Reach", "--seeds", "1", "--episodes", "1", "--out", str(tmp_path)]
+    command += ["--processes", "1"]
     assert cli.run(reproduce.main, [*command, "--write"]) == 0
     (result,) = load_results(tiny).results
     (run,) = result.runs
@@ -224,7 +225,7 @@ def test_results_are_of_other_episodes_than_the_choice(tiny, tmp_path, monkeypat
     for module in (reproduce, final_evaluation):
         monkeypatch.setattr(module, "evaluate_policy", record)
     command = ["Reach", "--seeds", "1", "--episodes", "1", "--out", str(tmp_path)]
-    assert cli.run(reproduce.main, command) == 0
+    assert cli.run(reproduce.main, [*command, "--processes", "1"]) == 0
     assert used == [(EVALUATION, "stock"), (CHOICE, "native")]
 
 

@@ -1,7 +1,6 @@
 """The study of preferences: its statistics by hand, and a tiny study to its figures."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import astuple, replace
 from math import isnan, log, nan
 from pathlib import Path
@@ -45,7 +44,8 @@ def test_the_interval_over_seeds_is_students() -> None:
 def test_one_seed_has_no_interval() -> None:
     interval = seed_interval([0.7])
     assert interval.value == 0.7
-    assert isnan(interval.low) and isnan(interval.high)
+    assert isnan(interval.low)
+    assert isnan(interval.high)
 
 
 def constant_actor(mean: list[float], std: list[float]) -> Actor:
@@ -106,13 +106,10 @@ def test_all_methods_ask_for_equally_many_labels() -> None:
 
 def row(variant: str, seed: int, steps: int = 100) -> PreferenceRow:
     value = 0.1 * seed + 0.01 * len(variant)
-    judged = {"held": 1.0, "reward": value, "penalty": value, "utility": value}
-    return PreferenceRow(
-        *("Lift", "gentle", variant, seed, steps, 300, 8),
-        **judged,
-        learned=nan if variant in (REFERENCE, TRUE) else value,
-        divergence=0.0 if variant == REFERENCE else value,
-    )
+    learned = nan if variant in (REFERENCE, TRUE) else value
+    kl = 0.0 if variant == REFERENCE else value
+    judged = (8, 1.0, value, value, value, learned, kl)
+    return PreferenceRow("Lift", "gentle", variant, seed, steps, 300, *judged)
 
 
 @pytest.mark.parametrize("part", PARTS)
@@ -154,7 +151,7 @@ def tiny(variant: Variant, steps: int, stages: int) -> Variant:
 
 
 @pytest.fixture(scope="module")
-def study(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PreferenceStudy]:
+def study(tmp_path_factory: pytest.TempPathFactory) -> PreferenceStudy:
     variants = VARIANTS.of(["methods"])
     small = {
         REFERENCE: tiny(variants[REFERENCE], 64, 1),
@@ -162,7 +159,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PreferenceStudy]
         FULL: tiny(variants[FULL], 192, 2),
     }
     folder = tmp_path_factory.mktemp("study")
-    yield PreferenceStudy(small, (0,), Judge("Lift", "gentle", 2, 16), folder)
+    return PreferenceStudy(small, (0,), Judge("Lift", "gentle", 2, 16), folder)
 
 
 def test_a_study_trains_judges_and_goes_on(study: PreferenceStudy) -> None:
@@ -171,7 +168,8 @@ def test_a_study_trains_judges_and_goes_on(study: PreferenceStudy) -> None:
     assert names == [(REFERENCE, 64), (TRUE, 128), (FULL, 96), (FULL, 192)]
     reference, true, early, late = rows
     assert reference.divergence == 0.0 < late.divergence
-    assert isnan(reference.learned) and isnan(true.learned)
+    assert isnan(reference.learned)
+    assert isnan(true.learned)
     assert not isnan(early.learned)
     for judged in rows:
         paid = judged.reward - 2 * judged.penalty
@@ -189,6 +187,8 @@ def test_a_study_refuses_runs_of_other_options(study: PreferenceStudy) -> None:
         more.rows()
     other = dict(study.variants)
     config = other[FULL].config
-    other[FULL] = replace(other[FULL], config=replace(config, horizon=17), stages=(320,))
+    other[FULL] = replace(
+        other[FULL], config=replace(config, horizon=17), stages=(320,)
+    )
     with pytest.raises(UserError, match="horizon was 16, not 17"):
         replace(study, variants=other).rows()

@@ -15,6 +15,7 @@ import yaml
 from matplotlib import pyplot as plt
 from toy import QUICK_A2C, Points, make_agent
 
+from manip.cluster.job import JobResult, write_result
 from manip.io.atomic_files import write_text
 from manip.programs import cli, study
 from manip.studies import gradient_figures, gradients, plotting
@@ -173,6 +174,7 @@ def one_run(tmp_path: Path) -> list[str]:
     write_text(
         run.folder / "metrics.csv", f"env_steps,cpu_seconds,eval/success_held\n{rows}"
     )
+    write_result(run.folder, JobResult(env_steps=640, seconds=1.0, training={}))
     options = ["algorithms", "--algos", "a2c", "--seeds", "1", "--steps"]
     return ["--out", str(tmp_path), *options]
 

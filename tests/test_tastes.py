@@ -1,14 +1,19 @@
 """Tastes: penalties on visible measures, from files that are checked."""
 
+import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.task_registry import load_task
 from manip.errors import UserError
+from manip.evaluation import runners
+from manip.evaluation.runners import EpisodeSettings, make_env
 from manip.io.yaml_files import dump_yaml
 from manip.preferences.tastes import (
     MOST_EXCESS,
@@ -17,6 +22,10 @@ from manip.preferences.tastes import (
     shipped_tastes,
     taste_names,
 )
+from manip.programs import cli, main
+from manip.robot_config import RobotConfig
+
+Array = np.ndarray
 
 TERM = {"measure": "speed", "above": 0.1, "full": 0.2, "weight": 0.5}
 TASTE: dict[str, Any] = {"words": "Slowly.", "terms": [TERM]}
@@ -108,3 +117,63 @@ WRONG: dict[str, Any] = {
 def test_a_wrong_file_is_refused(case: str) -> None:
     with pytest.raises(UserError, match="a test is no taste: "):
         read_taste(WRONG[case], "a test")
+
+
+# Judging policies
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory) -> dict[str, Any]:
+    """Two native episodes of the shipped policy, and one in stock robosuite."""
+    folder, results = tmp_path_factory.mktemp("evaluations"), {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runners, "usable_cpus", lambda: 1)
+        for env, episodes in (("native", 2), ("stock", 1)):
+            path = folder / f"{env}.json"
+            options = f"--env {env} --episodes {episodes} --json {path}"
+            command = f"Lift --taste gentle {options}"
+            assert cli.run(main._program("evaluate"), command.split()) == 0
+            results[env] = json.loads(path.read_text())
+    return results
+
+
+@pytest.mark.parametrize("env", ["native", "stock"])
+def test_an_evaluation_gives_the_penalty(env: str, results: dict[str, Any]) -> None:
+    result = results[env]
+    penalty = result["taste_penalty"]
+    assert result["taste"] == "gentle"
+    assert result["success"]["success_held"]["rate"] == 1
+    assert 0.1 < penalty["mean"] < 1.5
+    assert penalty["low"] <= penalty["mean"] <= penalty["high"]
+
+
+def test_the_penalty_is_that_of_the_steps() -> None:
+    settings = EpisodeSettings(
+        "Lift", RobotConfig(), episodes=2, backend="native", taste=HandTilt()
+    )
+    env = make_env(settings, 2)
+    shown: list[Array] = []
+    column = env.batch.measure_names.index("hand_tilt")
+
+    def policy(parts: Any) -> torch.Tensor:
+        shown.append(env.batch.measures()[:, column])
+        return torch.full((2, 7), 0.1)
+
+    episodes = runners.run_settings(env, policy, settings, 2)
+    assert len(shown) == 100
+    for episode in episodes:
+        before = [step[episode.env_id] for step in shown[1:]]
+        assert episode.penalty == pytest.approx(np.mean(before), rel=0.02)
+
+
+class HandTilt:
+    """The tilt itself is the penalty."""
+
+    def penalties(self, measures: Array, names: Sequence[str]) -> Array:
+        return measures[..., names.index("hand_tilt")]
+
+
+def test_an_unknown_taste_is_an_error_before_the_episodes(capsys) -> None:
+    program = main._program("evaluate")
+    assert cli.run(program, ["Lift", "--taste", "gentel"]) == 2
+    assert "did you mean 'gentle'" in capsys.readouterr().err

@@ -1,6 +1,6 @@
 """The part of an observation that an actor sees; critics may see all of it."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,13 +43,25 @@ class ActorInputs:
         return observation[..., list(self.columns)]
 
 
-def camera_inputs(spec: ObservationSpec) -> ActorInputs:
-    """Inputs that a real arm has: its cameras and the parts of role proprioception."""
+def camera_inputs(spec: ObservationSpec, names: Collection[str] = ()) -> ActorInputs:
+    """Inputs that a real arm has: its cameras and the parts of role proprioception.
+
+    Args:
+        spec: the whole observation.
+        names: parts of the joined observation to see instead of the proprioception.
+
+    Raises:
+        UserError: there is no such part.
+    """
+    vector = spec.select(spec.slices)
+    chosen = vector.select(names).names or [
+        part.name for part in vector.parts if part.role == "proprioception"
+    ]
     columns = [
         index
-        for part in spec.parts
-        if part.role == "proprioception"
-        for index in range(*spec.slices[part.name].indices(spec.dim))
+        for name, place in spec.slices.items()
+        if name in chosen
+        for index in range(place.start, place.stop)
     ]
     cameras = tuple(part for part in spec.parts if part.role == "camera")
     return ActorInputs(tuple(columns), cameras)

@@ -11,8 +11,10 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
 from manip.agents.actor_inputs import ActorInputs
+from manip.agents.compared_clips import ComparedClips
 from manip.agents.image_actor import ImageActor
 from manip.agents.networks import Actor, BinnedActor
+from manip.rewards.reward_function import RewardFunction
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,8 @@ class Agent(ABC):
         imitates: needs the action of the task's expert, or of a trained policy, as
             `expert_action` [N, A] in each step.
         sees_images: its actor may see camera images (`Spaces.actor`).
+        prefers: learns from compared clips (`relabel`, `compare`), not from the
+            environment's reward: needs a run with `--preferences`.
         has_native_gradients: its constructor takes the keyword `gradients`, "native" or
             "torchrl"; others always learn through TorchRL's losses and autograd.
     """
@@ -76,6 +80,7 @@ class Agent(ABC):
     off_policy: ClassVar[bool] = False
     imitates: ClassVar[bool] = False
     sees_images: ClassVar[bool] = False
+    prefers: ClassVar[bool] = False
     has_native_gradients: ClassVar[bool] = False
 
     actor: Actor | BinnedActor | ImageActor
@@ -124,6 +129,35 @@ class Agent(ABC):
         Returns:
             Scalars to log; empty before learning starts.
         """
+
+    def store(self, batch: TensorDictBase) -> None:
+        """Store a rollout [N, T] whose rewards are not known yet, if there is a buffer.
+
+        Called instead of `update` until a run with preferences has learned a reward.
+        """
+
+    def relabel(self, reward: RewardFunction) -> None:
+        """Replace the rewards of what is stored, after the learned reward has changed.
+
+        By default nothing is stored.
+        """
+
+    def compare(self, pairs: ComparedClips) -> dict[str, float]:
+        """Learn from all clips compared so far; called after `relabel`.
+
+        Args:
+            pairs: their steps are observation and action, joined.
+
+        Returns:
+            Scalars to log. By default nothing is learned.
+        """
+        return {}
+
+    def waiting(self) -> str:
+        """What the agent waits for before the next rollout, in a line; empty if it
+        does not: a run saves and ends where answers of people are missing.
+        """
+        return ""
 
     @abstractmethod
     def modules(self) -> dict[str, nn.Module]:

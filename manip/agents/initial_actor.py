@@ -85,7 +85,9 @@ def network_options(actor: Actor | ImageActor) -> dict[str, Any]:
 def _check_form(old: Any, new: Any, where: str) -> None:
     """Raise `UserError` unless both are actors of one form and of equal layers."""
     if not isinstance(new, Actor | ImageActor):
-        raise UserError("this algorithm has no actor that a policy could start")
+        raise UserError(
+            "dqn has no actor that could start from a policy: choose another algorithm"
+        )
     if not isinstance(old, Actor | ImageActor):
         raise UserError(
             f"the policy in {where} values discrete actions: it cannot start an actor; "

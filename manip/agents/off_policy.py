@@ -20,6 +20,7 @@ from manip.agents.networks import mlp
 from manip.agents.replay import ImageTransitions, Replay
 from manip.agents.value_targets import check_steps
 from manip.io.option_ranges import COUNT, NUMBER, SHARE, WHOLE, Range
+from manip.rewards.reward_function import RewardFunction
 
 
 @dataclass(frozen=True)
@@ -99,8 +100,7 @@ class OffPolicy(Agent):
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Store the rollout [N, T]; then do as many updates as its steps call for."""
-        self._replay.add(batch)
-        self._steps += batch.numel()
+        self.store(batch)
         if self.warming_up or self._refilling:
             return {}
         self._owed += batch.numel() * self._options.updates_per_step
@@ -110,6 +110,15 @@ class OffPolicy(Agent):
             self._updates += 1
             logged |= self._learn(rows)
         return logged
+
+    def store(self, batch: TensorDictBase) -> None:
+        """Store the rollout [N, T]."""
+        self._replay.add(batch)
+        self._steps += batch.numel()
+
+    def relabel(self, reward: RewardFunction) -> None:
+        """Replace the reward of every stored step."""
+        self._replay.relabel(reward)
 
     def extra_state(self, buffer: bool = True) -> dict[str, Any]:
         """Return the replay buffer and the counters."""

@@ -7,7 +7,9 @@
 
 Critic and advantages are PPO's. The reference is a policy that was trained before. The
 actor starts from it, and the rewards penalise an estimate of KL(pi || pi_ref): the form
-used after pre-training (Ziegler et al. 2019, arXiv 1909.08593). TorchRL's KLPENPPOLoss
+used after pre-training (Ziegler et al. 2019, arXiv 1909.08593). With a reference, the
+observations' statistics stay as they are: if they moved on, so would the actor, without
+any gradient. TorchRL's KLPENPPOLoss
 adapts beta after each minibatch; here it is adapted once per update, as in the paper.
 """
 
@@ -17,16 +19,14 @@ from typing import Annotated
 
 import torch
 from tensordict import TensorDictBase
-from torch import nn
+from torch import Tensor, nn
 from torchrl.modules import IndependentNormal
 from torchrl.objectives import KLPENPPOLoss
 from torchrl.objectives.value import GAE
 
 from manip.agents.agent import Spaces
-from manip.agents.networks import Actor
 from manip.agents.on_policy import OnPolicy, OnPolicyConfig, losses, minibatches
-from manip.agents.policy import load_policy
-from manip.errors import UserError
+from manip.agents.reference import start_from_reference
 from manip.io.option_ranges import COUNT, NUMBER, POSITIVE, SHARE
 
 
@@ -41,9 +41,15 @@ class PPOKLConfig(OnPolicyConfig):
     target_kl: Annotated[float | None, POSITIVE] = 0.02
     """d, mean KL divergence of an update that beta is adapted to; None fixes beta."""
     reference: str | None = None
-    """Run folder of a policy to start from and stay close to (sets action_scale)."""
+    """Policy to start from and stay close to: a run folder or a shipped name. It sets
+    the options of the network."""
+    reference_std: Annotated[float, POSITIVE] = 0.2
+    """Standard deviation of the actions of a reference with squash (as SAC, TD3 and BC
+    train them), whose own is not one of samples near its decisions; a fraction of each
+    dimension's range."""
     reference_beta: Annotated[float, NUMBER] = 0.05
-    """beta_ref, weight of the divergence from the reference in the rewards."""
+    """beta_ref, weight of the divergence from the reference in the rewards: larger
+    stays closer."""
     epochs: Annotated[int, COUNT] = 5
     """Passes over each rollout."""
     minibatches: Annotated[int, COUNT] = 8
@@ -64,7 +70,7 @@ class PPOKL(OnPolicy):
         self._gae = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None)
         self._reference = None
         if config.reference is not None:
-            _load_reference(config.reference, self.actor)
+            start_from_reference(self, config.reference, config.reference_std)
             self._reference = deepcopy(self.gaussian)
 
     def modules(self) -> dict[str, nn.Module]:
@@ -94,6 +100,11 @@ class PPOKL(OnPolicy):
                 logged |= self._improve(piece)
         return logged | self._adapt(samples)
 
+    def _update_norm(self, observation: Tensor) -> None:
+        """See `OnPolicy`; nothing where there is a reference."""
+        if self._reference is None:
+            super()._update_norm(observation)
+
     @torch.no_grad()
     def _penalise(self, batch: TensorDictBase) -> dict[str, float]:
         """Subtract the divergence from the reference from the rewards."""
@@ -118,19 +129,3 @@ class PPOKL(OnPolicy):
         if target is not None and kl < target / 1.5:
             self._loss.beta.div_(2)
         return {"kl": kl, "beta": self._loss.beta.item()}
-
-
-def _load_reference(folder: str, actor: Actor) -> None:
-    """Load a trained policy's weights into `actor`.
-
-    Raises:
-        UserError: the policy has other networks.
-    """
-    trained = load_policy(folder).actor
-    try:
-        actor.load_state_dict(trained.state_dict())
-    except RuntimeError as error:
-        raise UserError(
-            f"the policy in {folder} has other networks than this run: it must come "
-            "from an algorithm with PPO's kind of actor, of equal task and actor_hidden"
-        ) from error

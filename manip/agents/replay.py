@@ -21,13 +21,14 @@ from torch import Tensor
 
 from manip.agents.replay_columns import (
     NONE,
+    OPTIONAL,
     allocate,
     check_columns,
     check_links,
     image_after,
     image_before,
 )
-from manip.agents.trajectory import episode_starts, reward_terms
+from manip.agents.trajectory import episode_starts, numbers_after
 from manip.errors import UserError
 from manip.observation import ObservationPart
 from manip.rewards.reward_function import RewardFunction
@@ -52,8 +53,9 @@ class Replay:
 
     Columns, S = capacity: `before` [S, O + A] observation and action, `after` [S, O]
     next observation, `reward` [S], `terminated` [S], `ended` [S], `terms` [S, K] raw
-    reward terms, `env` [S], `episode` [S] a number for each episode, `link` [S]; and
-    for each camera its image before and after the step, uint8 [S, H, W, C].
+    reward terms, `measures` [S, M] visible measures, `env` [S], `episode` [S] a number
+    for each episode, `link` [S]; and for each camera its image before and after the
+    step, uint8 [S, H, W, C]. K and M are 0 where rollouts have none.
 
     Args:
         capacity: most steps that are stored.
@@ -156,6 +158,7 @@ class Replay:
             "observation": column["after"],
             "reward": column["reward"][..., None],
             "reward_terms": column["terms"],
+            "measures": column["measures"],
             "terminated": column["terminated"][..., None],
             "done": column["ended"][..., None],
         }
@@ -203,7 +206,7 @@ class Replay:
         stored = state["buffer"]
         size = 0 if stored is None else len(stored["reward"])
         if stored is not None:
-            self._fit_terms(stored["terms"])
+            self._fit_widths({name: stored[name] for name in OPTIONAL})
             check_columns(stored, self._columns, size)
         check_links(state, size, self.capacity)
         for name, column in (stored or {}).items():
@@ -213,14 +216,17 @@ class Replay:
         self._episodes = state["episodes"]
 
     def _prepare(self, batch: TensorDictBase) -> None:
-        """Make room for reward terms, and begin anew with other environments."""
-        self._fit_terms(reward_terms(batch))
+        """Make room for optional numbers; begin anew with other environments."""
+        self._fit_widths({n: numbers_after(batch, key) for n, key in OPTIONAL.items()})
         if len(self._current) != len(batch):
             self._current = torch.full((len(batch),), NONE)
 
-    def _fit_terms(self, terms: Tensor) -> None:
-        if terms.shape[-1] != self._columns["terms"].shape[-1] and not self._size:
-            self._columns["terms"] = torch.zeros(self.capacity, terms.shape[-1])
+    def _fit_widths(self, numbers: Mapping[str, Tensor]) -> None:
+        """Give the optional columns the widths of numbers [..., K], while empty."""
+        for name, values in numbers.items():
+            width = values.shape[-1]
+            if width != self._columns[name].shape[-1] and not self._size:
+                self._columns[name] = torch.zeros(self.capacity, width)
 
     def _number_episodes(self, ended: Tensor) -> Tensor:
         """Number the episodes of [N, T] steps; `_current` [N] is advanced past them."""
@@ -240,12 +246,12 @@ class Replay:
             "reward": following["reward"].squeeze(-1),
             "terminated": following["terminated"].squeeze(-1),
             "ended": following["done"].squeeze(-1),
-            "terms": reward_terms(batch),
             "env": env,
             "episode": episode,
             **{image_before(name): batch[name] for name in self.cameras},
             **{image_after(name): following[name] for name in self.cameras},
         }
+        values |= {name: numbers_after(batch, key) for name, key in OPTIONAL.items()}
         for name, value in values.items():
             self._columns[name][rows] = value.flatten(0, 1)
 

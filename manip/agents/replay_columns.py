@@ -10,6 +10,9 @@ from torch import Tensor
 from manip.errors import UserError
 from manip.observation import ObservationPart
 
+OPTIONAL = {"terms": "reward_terms", "measures": "measures"}
+"""Column -> key of a rollout's `next` that it stores, where rollouts have it."""
+
 NONE = -1
 """Link of a row that is the last of its episode or rollout."""
 
@@ -47,7 +50,7 @@ def allocate(
             "reward": torch.zeros(capacity),
             "terminated": torch.zeros(capacity, dtype=torch.bool),
             "ended": torch.zeros(capacity, dtype=torch.bool),
-            "terms": torch.zeros(capacity, 0),
+            **{name: torch.zeros(capacity, 0) for name in OPTIONAL},
             "env": torch.zeros(capacity, dtype=torch.int32),
             "episode": torch.zeros(capacity, dtype=torch.int64),
             "link": torch.zeros(capacity, dtype=torch.int64),

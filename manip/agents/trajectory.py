@@ -13,6 +13,7 @@ episode ended there; the step after an end is the first one of the next episode.
 | next, observation | [N, T, D] float32 | the true successor, also at an end |
 | next, reward | [N, T, 1] float32 | reward of the step |
 | next, reward_terms | [N, T, K] float32 | the task's raw reward terms |
+| next, measures | [N, T, M] float32 | the task's visible measures, if requested |
 | next, terminated | [N, T, 1] bool | the task failed: no future, do not bootstrap |
 | next, truncated | [N, T, 1] bool | the time is up: bootstrap from the successor |
 | next, done | [N, T, 1] bool | terminated or truncated |
@@ -37,7 +38,7 @@ def episode_starts(ended: Tensor, fresh: Tensor) -> Tensor:
     return torch.cat([fresh[:, None], ended[:, :-1]], 1)
 
 
-def reward_terms(batch: TensorDictBase) -> Tensor:
-    """Return the raw reward terms [N, T, K]; K is 0 where the environment has none."""
-    terms = batch["next"].get("reward_terms", None)
-    return batch["next", "reward"][..., :0] if terms is None else terms
+def numbers_after(batch: TensorDictBase, key: str) -> Tensor:
+    """Return ("next", key) [N, T, K]; K is 0 where the environment does not give it."""
+    numbers = batch["next"].get(key, None)
+    return batch["next", "reward"][..., :0] if numbers is None else numbers

@@ -5,13 +5,16 @@ from dataclasses import replace
 from pathlib import Path
 from threading import Event
 
-from manip.cluster.job import Executor, Job, Outcome, finished_result
+from manip.cluster.job import Executor, Job, JobResult, Outcome, finished_result
 from manip.cluster.jobs_display import JobsDisplay
 from manip.cluster.ledger import Ledger
 from manip.cluster.local_executor import LocalExecutor
 from manip.cpus import usable_cpus
-from manip.errors import at_least
+from manip.errors import UserError, at_least
+from manip.training.config import TrainConfig
+from manip.training.final_evaluation import EvaluationOptions
 from manip.training.lifecycle import SignalHandler
+from manip.training.run_folder import check_run_options
 
 Ended = Callable[[dict[str, Outcome]], object]
 """Called after each job with the outcomes so far."""
@@ -80,3 +83,34 @@ def run_jobs(
     with JobsDisplay(left, len(before), pass_on) as display, SignalHandler(stop.set):
         executor(left, display, stop)
     return before | display.ledger.outcomes
+
+
+def finish_runs(
+    runs: Sequence[TrainConfig],
+    processes: int | None,
+    evaluation: EvaluationOptions | None = None,
+) -> list[JobResult] | None:
+    """Train all runs in processes of this machine, or resume them, and evaluate them.
+
+    Args:
+        runs: their options; each has a folder of its own.
+        processes: runs at a time; one for each usable CPU unless given.
+        evaluation: at the end of each run.
+
+    Returns:
+        the results in the order of the runs; None if they were interrupted, and saved.
+
+    Raises:
+        UserError: a folder holds a run with other options, or a run failed.
+    """
+    jobs = [Job(str(run.folder), run, evaluation) for run in runs]
+    for run in runs:
+        check_run_options(run)
+    executor, jobs = local_executor(jobs, processes)
+    outcomes = run_jobs(jobs, executor)
+    names = [job.name for job in jobs]
+    for name, outcome in outcomes.items():
+        if outcome.status == "failed":
+            raise UserError(f"{name}: {outcome.error}")
+    results = [o.result for o in map(outcomes.get, names) if o and o.result]
+    return results if len(results) == len(jobs) else None

@@ -4,7 +4,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -26,6 +26,13 @@ def log_of(job: Job, logs: Path | None) -> Path:
     return logs / f"{job.name}.log" if logs else Path(os.devnull)
 
 
+def append_lines(path: Path, lines: Iterable[str]) -> None:
+    """Append lines to a text file, in a folder that may be missing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a", encoding="utf-8") as file:
+        file.writelines(f"{line}\n" for line in lines)
+
+
 class Reporter:
     """Pass on reports at most every `REPORT_EVERY` seconds, those with messages always.
 
@@ -36,14 +43,12 @@ class Reporter:
 
     def __init__(self, send: Callable[[Report], object], log: Path) -> None:
         self._send, self._log, self._last = send, log, 0.0
-        log.parent.mkdir(parents=True, exist_ok=True)
 
     def __call__(self, report: Report) -> None:
         """Pass on the report, or drop it."""
         now = time.monotonic()
         if report.messages:
-            with self._log.open("a", encoding="utf-8") as file:
-                file.writelines(f"{message}\n" for message in report.messages)
+            append_lines(self._log, report.messages)
         elif now - self._last < REPORT_EVERY:
             return
         self._last = now

@@ -13,9 +13,9 @@ from manip.errors import UserError
 from manip.io.atomic_files import is_partial, write_text
 from manip.io.output_paths import check_output_folder
 from manip.io.yaml_files import dump_yaml, read_yaml
-from manip.training.checkpoint import Checkpoints
-from manip.training.config import TrainConfig, lasting, recorded
+from manip.training.config import TrainConfig
 from manip.training.final_evaluation import EvaluationOptions
+from manip.training.run_folder import check_run_options
 
 GRID = "sweep.yaml"
 """File of a sweep folder with its grids; `manip sweep --grid` reads it."""
@@ -120,7 +120,7 @@ def check_sweep(folder: Path, planned: Sequence[Planned]) -> None:
     check_output_folder(folder, "--out")
     _check_same_sweep(folder, planned)
     for item in planned:
-        _check_run(item.job.config)
+        check_run_options(item.job.config)
 
 
 def _check_same_sweep(folder: Path, planned: Sequence[Planned]) -> None:
@@ -149,17 +149,6 @@ def _check_same_sweep(folder: Path, planned: Sequence[Planned]) -> None:
 
 def _key(item: Planned) -> tuple[Any, int]:
     return tuple(sorted(item.values.items())), item.job.config.seed
-
-
-def _check_run(config: TrainConfig) -> None:
-    """Check that a run that exists in the folder has the options of this run."""
-    if not Checkpoints(config.folder).exist():
-        return
-    if lasting(recorded(config.folder)) != lasting(config):
-        raise UserError(
-            f"{config.folder} holds a run with other options: remove it, or choose "
-            "another folder with --out"
-        )
 
 
 def write_grids(folder: Path, grids: Sequence[Grid]) -> None:

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 from manip.cameras import CameraConfig, check_cameras
 from manip.envs.episode_streams import TRAINING, Purpose, check_purpose, check_seed
-from manip.errors import at_least
+from manip.errors import UserError, at_least, shown
+from manip.looks import check_looks
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,8 @@ class EpisodeOptions:
         first_env: number of the first environment in the random streams; batches that
             share a seed have different episodes.
         cameras: cameras whose pictures are parts of the observation; None for none.
+        looks: strength, from 0 to 1, of the random changes of each episode's look, or
+            the name of a suite of fixed looks (see `manip.looks`); native backend only.
 
     Raises:
         UserError: an option is out of its range.
@@ -33,6 +36,7 @@ class EpisodeOptions:
     purpose: Purpose = TRAINING
     first_env: int = 0
     cameras: CameraConfig | None = None
+    looks: float | str = 0.0
 
     def __post_init__(self) -> None:
         at_least(1, "horizon", 1 if self.horizon is None else self.horizon)
@@ -40,3 +44,13 @@ class EpisodeOptions:
         check_seed(self.seed)
         check_purpose(self.purpose)
         check_cameras(self.cameras)
+        if check_looks(self.looks).groups and not check_cameras(self.cameras).names:
+            raise UserError("looks change pictures only: name cameras, too")
+
+    def refuse_looks(self, library: str) -> None:
+        """Raise `UserError` if looks vary, which another library does not draw."""
+        if check_looks(self.looks).groups:
+            raise UserError(
+                f"{library} draws its own look: choose the native backend for looks "
+                f"{shown(self.looks)}"
+            )

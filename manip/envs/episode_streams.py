@@ -78,6 +78,12 @@ def episode_seed(
     return np.random.SeedSequence(seed, spawn_key=(purpose, env_id, episode))
 
 
+def look_seed(seed: int, purpose: int, env_id: int, episode: int) -> int:
+    """The seed (below 2^63) of an episode's look; nothing else depends on it."""
+    sequence = np.random.SeedSequence(seed, spawn_key=(purpose, env_id, episode, 1))
+    return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
 def build_seed(seed: int, purpose: int, env_id: int) -> int:
     """The seed (below 2^32) of what an environment samples when it is built."""
     sequence = np.random.SeedSequence(seed, spawn_key=(purpose, env_id))

@@ -4,16 +4,22 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
+
+Array = np.ndarray
 
 HELD_STEPS = 10
 """`success_held`: success in each of the last ten control steps of an episode."""
 
 Policy = Callable[[Mapping[str, Tensor]], Tensor]
 """Observation parts, name -> [N, ...], to action [N, A]."""
+
+Penalty = Callable[[Array], Array]
+"""Visible measures [N, M] of a step, to penalties [N]."""
 
 Callback = Callable[[TensorDictBase], None]
 """Gets the state [N] of the environments."""
@@ -32,6 +38,7 @@ class Episode:
         success_held: success was true in the last `HELD_STEPS` steps.
         first_success: step of the first success, counted from 1; None without any.
         milestones: for each milestone, whether it was true in at least one step.
+        penalty: mean penalty of a step; None if nothing was penalised.
     """
 
     env_id: int
@@ -42,12 +49,20 @@ class Episode:
     success_held: bool
     first_success: int | None
     milestones: tuple[bool, ...]
+    penalty: float | None = None
 
 
 class EpisodeTracker:
-    """Accumulate the steps of N environments, and report the episodes that end."""
+    """Accumulate the steps of N environments, and report the episodes that end.
 
-    def __init__(self, num_envs: int) -> None:
+    Args:
+        num_envs: N.
+        penalty: penalises steps by their measures.
+    """
+
+    def __init__(self, num_envs: int, penalty: Penalty | None = None) -> None:
+        self._penalty = penalty
+        self._penalties = torch.zeros(num_envs, dtype=torch.float64)
         self._steps = torch.zeros(num_envs, dtype=torch.int64)
         self._reward = torch.zeros(num_envs)
         self._streak = torch.zeros(num_envs, dtype=torch.int64)
@@ -64,9 +79,12 @@ class EpisodeTracker:
             success & (self._first == 0), self._steps, self._first
         )
         self._add_milestones(after["milestones"])
+        if self._penalty:
+            penalties = self._penalty(after["measures"].numpy())
+            self._penalties += torch.from_numpy(penalties)
         ended = torch.nonzero(done).squeeze(-1).tolist()
         episodes = [self._episode(env_id) for env_id in ended]
-        for entries in (*self._counters(), self._milestones):
+        for entries in (*self._counters(), self._milestones, self._penalties):
             entries[ended] = 0
         return episodes
 
@@ -105,6 +123,7 @@ class EpisodeTracker:
 
     def _episode(self, env_id: int) -> Episode:
         first, streak = int(self._first[env_id]), int(self._streak[env_id])
+        penalty = float(self._penalties[env_id] / self._steps[env_id])
         return Episode(
             env_id=env_id,
             steps=int(self._steps[env_id]),
@@ -114,12 +133,17 @@ class EpisodeTracker:
             success_held=streak >= HELD_STEPS,
             first_success=first or None,
             milestones=tuple(self._milestones[env_id].tolist()),
+            penalty=penalty if self._penalty else None,
         )
 
 
 @torch.no_grad()
 def run_episodes(
-    env: EnvBase, policy: Policy, episodes: int, callback: Callback | None = None
+    env: EnvBase,
+    policy: Policy,
+    episodes: int,
+    callback: Callback | None = None,
+    penalty: Penalty | None = None,
 ) -> list[Episode]:
     """Run an exact number of episodes, the same number in each environment.
 
@@ -130,6 +154,7 @@ def run_episodes(
         policy: returns the actions for the observation parts.
         episodes: a multiple of N.
         callback: called with the state before every step.
+        penalty: penalises the steps of an environment that gives its measures.
 
     Raises:
         ValueError: `episodes` is no multiple of N.
@@ -140,7 +165,7 @@ def run_episodes(
             f"{episodes} episodes cannot be shared evenly by {num_envs} environments"
         )
     missing = torch.full((num_envs,), episodes // num_envs)
-    tracker, finished = EpisodeTracker(num_envs), []
+    tracker, finished = EpisodeTracker(num_envs, penalty), []
     state = env.reset()
     while missing.any():
         if callback:

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from manip.envs.external_task import library_of
 from manip.evaluation.episodes import Episode
-from manip.evaluation.statistics import Rate, success_rate
+from manip.evaluation.statistics import Mean, Rate, mean_over_episodes, success_rate
 from manip.io.printable import printable
 
 SUCCESS = ("success_once", "success_at_end", "success_held")
@@ -32,6 +32,8 @@ class Evaluation:
         first_success_median: control steps until the first success, over the episodes
             that have one; None if none has.
         seconds: wall time of the evaluation.
+        taste: name of the taste that was measured; None if none was.
+        taste_penalty: mean penalty of a step, a mean over episodes.
     """
 
     task: str
@@ -49,6 +51,8 @@ class Evaluation:
     first_success_median: float | None
     seconds: float
     versions: dict[str, str]
+    taste: str | None = None
+    taste_penalty: Mean | None = None
 
     def to_json(self) -> str:
         """Indented JSON with the fields above."""
@@ -59,6 +63,7 @@ def summarise(episodes: Sequence[Episode], milestones: Sequence[str]) -> dict[st
     """Statistics of episodes, under the names of the fields of `Evaluation`."""
     shares = np.array([episode.milestones for episode in episodes]).mean(0)
     first = [e.first_success for e in episodes if e.first_success is not None]
+    penalties = [e.penalty for e in episodes if e.penalty is not None]
     return {
         "success": {
             measure: success_rate([getattr(episode, measure) for episode in episodes])
@@ -67,6 +72,7 @@ def summarise(episodes: Sequence[Episode], milestones: Sequence[str]) -> dict[st
         "return_mean": float(np.mean([e.total_reward for e in episodes])),
         "milestones": dict(zip(milestones, map(float, shares), strict=True)),
         "first_success_median": float(np.median(first)) if first else None,
+        "taste_penalty": mean_over_episodes(penalties) if penalties else None,
     }
 
 
@@ -89,6 +95,9 @@ def _rows(result: Evaluation) -> list[tuple[str, str, str]]:
         (measure, f"{rate.rate:.1%}", f"{rate.low:.1%} - {rate.high:.1%}")
         for measure, rate in result.success.items()
     ]
+    if penalty := result.taste_penalty:
+        interval = f"{penalty.low:.3f} - {penalty.high:.3f}"
+        rows.append((f"{result.taste} penalty", f"{penalty.mean:.3f}", interval))
     rows += [(f"reached {m}", f"{s:.1%}", "") for m, s in result.milestones.items()]
     rows.append(("mean return", f"{result.return_mean:.1f}", ""))
     if result.first_success_median is not None:

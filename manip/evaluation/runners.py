@@ -2,13 +2,15 @@
 
 import multiprocessing
 import signal
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, Protocol
 
+import numpy as np
 import torch
 
 from manip.cameras import CameraConfig
@@ -18,14 +20,23 @@ from manip.envs.backends.worker_pool import end_with_parent
 from manip.envs.episode_streams import EVALUATION, Purpose
 from manip.envs.make_batch import Backend, make_batch
 from manip.envs.task import Task
-from manip.evaluation.episodes import Episode, Policy, run_episodes
+from manip.evaluation.episodes import Episode, Penalty, Policy, run_episodes
 from manip.observation import check_observation
 from manip.robot_config import RobotConfig
 from manip.sim.robosuite_log import quiet_robosuite
 from manip.sim.scene import Fidelity
 
+Array = np.ndarray
+
 Progress = Callable[[int], None]
 """Called with the number of episodes that have just ended."""
+
+
+class StepPenalties(Protocol):
+    """Penalises control steps by their visible measures; it can be pickled."""
+
+    def penalties(self, measures: Array, names: Sequence[str]) -> Array:
+        """[...]: penalties of steps with measures [..., M] of these names."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +56,7 @@ class EpisodeSettings:
         backend: "native", the batch engine; "stock", robosuite itself, or the library
             that the task comes from.
         fidelity: physics of the native backend.
+        taste: penalises the steps; None for nothing.
     """
 
     task: str | Task
@@ -56,6 +68,7 @@ class EpisodeSettings:
     purpose: Purpose = EVALUATION
     backend: Backend = "stock"
     fidelity: Fidelity = "exact"
+    taste: StepPenalties | None = None
 
 
 def evaluate_policy(
@@ -82,7 +95,7 @@ def evaluate_policy(
     """
     if settings.backend == "native":
         env = make_env(settings, settings.episodes)
-        results = run_episodes(env, policy, settings.episodes)
+        results = run_settings(env, policy, settings, settings.episodes)
         progress(len(results))
         return results
     episodes = _stock_episodes(policy, settings, processes or usable_cpus())
@@ -110,7 +123,18 @@ def make_env(settings: EpisodeSettings, num_envs: int = 1) -> TaskEnv:
     )
     if settings.observation is not None:
         check_observation(settings.observation, batch.observation_spec)
-    return TaskEnv(batch)
+    return TaskEnv(batch, measures=settings.taste is not None)
+
+
+def run_settings(
+    env: TaskEnv, policy: Policy, settings: EpisodeSettings, episodes: int
+) -> list[Episode]:
+    """Run episodes, and penalise their steps if the settings name a taste."""
+    penalty: Penalty | None = None
+    if settings.taste:
+        names = env.batch.measure_names
+        penalty = partial(settings.taste.penalties, names=names)
+    return run_episodes(env, policy, episodes, penalty=penalty)
 
 
 def _stock_episodes(
@@ -120,7 +144,7 @@ def _stock_episodes(
     if processes == 1:
         env = make_env(settings)
         for index in range(settings.episodes):
-            yield _stock_episode(env, policy, index)
+            yield _stock_episode(env, policy, settings, index)
         return
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(processes, context, _start_worker, (policy, settings))
@@ -136,10 +160,12 @@ def _stock_episodes(
         _end(pool)
 
 
-def _stock_episode(env: TaskEnv, policy: Policy, index: int) -> Episode:
+def _stock_episode(
+    env: TaskEnv, policy: Policy, settings: EpisodeSettings, index: int
+) -> Episode:
     """Run episode `index` of the settings, independent of earlier episodes."""
     env.batch.restart(episode=index)
-    return run_episodes(env, policy, 1)[0]
+    return run_settings(env, policy, settings, 1)[0]
 
 
 def _end(pool: ProcessPoolExecutor) -> None:
@@ -177,7 +203,7 @@ def _start_worker(policy: Policy, settings: EpisodeSettings) -> None:
 def _episode_of_worker(index: int) -> Episode:
     if "env" not in _worker:
         _worker["env"] = make_env(_worker["settings"])
-    return _stock_episode(_worker["env"], _worker["policy"], index)
+    return _stock_episode(_worker["env"], _worker["policy"], _worker["settings"], index)
 
 
 def _counted(episodes: Iterable[Episode], progress: Progress) -> Iterator[Episode]:

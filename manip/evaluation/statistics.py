@@ -37,6 +37,15 @@ class Rate:
     high: float
 
 
+@dataclass(frozen=True)
+class Mean:
+    """A mean over episodes and its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
+
+
 class SeedCount(NamedTuple):
     """Successful episodes of one training seed, and its evaluation episodes."""
 
@@ -66,6 +75,26 @@ def wilson_rate(successes: int, episodes: int) -> Rate:
     scale = 1 + Z**2 / episodes
     low, high = max(0.0, (centre - half) / scale), min(1.0, (centre + half) / scale)
     return Rate(rate, min(low, rate), max(high, rate))
+
+
+def mean_over_episodes(values: Sequence[float]) -> Mean:
+    """Mean of one policy's episodes, with Student's t interval: mean +- t s / sqrt(n).
+
+    The interval covers the choice of episodes only; of one episode it is the mean.
+
+    Raises:
+        UserError: there are no episodes.
+    """
+    if not values:
+        raise UserError("a mean needs at least one episode")
+    mean, count = float(np.mean(values)), len(values)
+    if count == 1:
+        return Mean(mean, mean, mean)
+    from scipy.special import stdtrit  # takes 0.4 s to import
+
+    critical = float(stdtrit(count - 1, 0.975))
+    half = critical * float(np.std(values, ddof=1)) / sqrt(count)
+    return Mean(mean, mean - half, mean + half)
 
 
 def rate_over_seeds(counts: Sequence[SeedCount]) -> Rate:

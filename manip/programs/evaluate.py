@@ -49,6 +49,9 @@ class Evaluate:
     """Seed of the episodes' random streams. Two seeds have no episode in common."""
     fidelity: Fidelity = "exact"
     """Physics of the native engine: exact as stock robosuite, or fast."""
+    taste: str | None = None
+    """Taste whose mean penalty per control step is measured, too: one of the task's
+    (see `manip list`), or a YAML file of your own."""
     json: Path | None = None
     """File for the result as JSON, besides the table."""
 
@@ -76,7 +79,11 @@ def evaluate(options: Evaluate) -> Evaluation:
     at_least(0, "--seed", options.seed)
     policy, task = load_run(options.run)
     settings = EvaluationOptions(
-        options.env, options.episodes, options.seed, options.fidelity
+        options.env,
+        options.episodes,
+        options.seed,
+        options.fidelity,
+        taste=options.taste,
     )
     with Progress(console=Console(stderr=True), transient=True) as bar:
         name = f"{options.env} {library_of(policy.card.task)}"

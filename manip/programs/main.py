@@ -16,6 +16,7 @@ PROGRAMS = {
     "render": "make a video of a policy",
     "reproduce": "rerun shipped recipes and compare with their results",
     "results": "show the results of the shipped recipes",
+    "reward": "learn a reward from comparisons, and show what it pays for",
     "replay": "repeat a control step whose numbers were not finite",
     "list": "list tasks, robots, algorithms, recipes, policies",
     "doctor": "check that this machine can run manip",

@@ -1,7 +1,7 @@
 """`manip reproduce`: rerun shipped recipes and compare with the shipped results."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -10,15 +10,16 @@ import torch
 import tyro
 
 from manip.agents.policy import load_policy
+from manip.cluster.executors import finish_runs
+from manip.cluster.job import JobResult
 from manip.cpus import machine
 from manip.envs.episode_streams import CHOICE
-from manip.errors import UserError, check_choice, unknown
+from manip.errors import UserError, at_least, check_choice, unknown
 from manip.evaluation.comparison import (
     comparison_line,
     comparison_record,
     verdict,
 )
-from manip.evaluation.results_table import percent
 from manip.evaluation.runners import EpisodeSettings, evaluate_policy
 from manip.evaluation.shipped_results import (
     RESULTS,
@@ -32,17 +33,14 @@ from manip.evaluation.statistics import success_rate
 from manip.io.atomic_files import write_text
 from manip.io.output_paths import check_output, check_output_folder
 from manip.programs import cli
-from manip.programs.evaluate import Evaluate, evaluate
 from manip.programs.output import console
 from manip.programs.results import table
 from manip.programs.ship_policy import ship_policy
 from manip.robot_config import ROBOTS
 from manip.training.config import TrainConfig
-from manip.training.final_evaluation import check_episodes
+from manip.training.final_evaluation import EvaluationOptions, check_episodes
 from manip.training.recipes import recipes
-from manip.training.run import RunResult, train_or_resume
 from manip.training.teacher import imitates
-from manip.training.terminal import TerminalProgress
 from manip.versions import versions
 
 STOPPED = 3
@@ -79,6 +77,8 @@ class Reproduce:
     """Number of training seeds of each recipe. More seeds find smaller changes."""
     episodes: int = 100
     """Number of evaluation episodes of each seed, in stock robosuite."""
+    processes: int | None = None
+    """Number of runs at a time; one for each usable CPU unless given."""
     out: Path = Path("runs/reproduce")
     """Folder of the runs."""
     json: Path | None = None
@@ -99,8 +99,8 @@ def main(arguments: Sequence[str]) -> int:
     torch.set_num_threads(1)
     results: list[Result] = []
     for config in configs:
-        runs = tuple(_runs(config, options))
-        if len(runs) < options.seeds:
+        runs = _runs(config, options)
+        if runs is None:
             return STOPPED
         result = Result(*_key(config), imitates(config), machine(), runs)
         results.append(result)
@@ -117,6 +117,8 @@ def main(arguments: Sequence[str]) -> int:
 def _check(options: Reproduce) -> None:
     cli.check_range("--seeds", options.seeds, 1, MOST_SEEDS)
     check_episodes(options.episodes)
+    if options.processes is not None:
+        at_least(1, "--processes", options.processes)
     check_output_folder(options.out, "--out")
     if options.json:
         check_output(options.json, "--json")
@@ -162,30 +164,28 @@ def _robots(config: TrainConfig, options: Reproduce, stored: Results) -> list[st
     return [config.robot, *sorted(others - {config.robot})]
 
 
-def _runs(config: TrainConfig, options: Reproduce) -> Iterator[Run]:
-    """Train and evaluate each seed; fewer than requested if it is interrupted."""
-    for seed in range(options.seeds):
-        name = run_name(_key(config), seed)
-        console().print(name, style="bold")
-        seeded = replace(config, seed=seed, out=options.out / name)
-        with TerminalProgress() as progress:
-            trained = train_or_resume(seeded, callback=progress)
-        if not trained.finished:
-            return
-        run = _evaluated(trained, seed, options.episodes)
-        console().print(f"{name}: success_held {percent(run.rate)} %", highlight=False)
-        yield run
+def _runs(config: TrainConfig, options: Reproduce) -> tuple[Run, ...] | None:
+    """Train and evaluate all seeds; None if they were interrupted."""
+    runs = [
+        replace(config, seed=seed, out=options.out / run_name(_key(config), seed))
+        for seed in range(options.seeds)
+    ]
+    evaluation = EvaluationOptions(episodes=options.episodes, processes=1)
+    results = finish_runs(runs, options.processes, evaluation)
+    if results is None:
+        return None
+    return tuple(map(_evaluated, runs, results))
 
 
-def _evaluated(trained: RunResult, seed: int, episodes: int) -> Run:
-    result = evaluate(Evaluate(trained.folder, "stock", episodes))
+def _evaluated(run: TrainConfig, result: JobResult) -> Run:
+    episodes = int(result.evaluation["episodes"])
     return Run(
-        seed=seed,
-        success_held=round(result.success["success_held"].rate * episodes),
+        seed=run.seed,
+        success_held=round(result.success["success_held"] * episodes),
         episodes=episodes,
-        env_steps=trained.env_steps,
-        minutes=round(trained.seconds / 60, 1),
-        choice_rate=choice_rate(trained.folder),
+        env_steps=result.env_steps,
+        minutes=round(result.seconds / 60, 1),
+        choice_rate=choice_rate(run.folder),
     )
 
 

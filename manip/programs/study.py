@@ -4,7 +4,6 @@ import csv
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from io import StringIO
-from itertools import chain
 from math import isnan
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -31,6 +30,7 @@ from manip.studies.rlhf import PreferenceRow, PreferenceStudy
 from manip.studies.rlhf_figures import FIGURES
 from manip.studies.rlhf_judge import Judge
 from manip.studies.rlhf_variants import HORIZON, PARTS, START, Part, Variants
+from manip.training.config import TrainConfig
 
 Measure = Callable[["Study"], list[Any]]
 Draw = Callable[[Sequence[Any], Path], None]
@@ -88,6 +88,8 @@ class Study:
     """Taste of the labellers of `rlhf` (see `manip list`)."""
     episodes: int = 100
     """Episodes in which `rlhf` judges each policy; more give more accurate values."""
+    processes: int | None = None
+    """Number of runs at a time; one for each usable CPU unless given."""
     out: Path = Path("runs/study")
     """Folder for tables, figures and runs; finished runs in it are not repeated."""
 
@@ -118,8 +120,9 @@ def _check(options: Study) -> None:
     for name in ("seeds", "length", "episodes"):
         at_least(1, f"--{name}", getattr(options, name))
     at_least(FEWEST_ROLLOUTS, "--rollouts", options.rollouts)
-    if options.steps is not None:
-        at_least(1, "--steps", options.steps)
+    for name in ("steps", "processes"):
+        if getattr(options, name) is not None:
+            at_least(1, f"--{name}", getattr(options, name))
     for stage in options.stages:
         at_least(0, "--stages", stage)
     if not 0 <= options.gamma <= 1:
@@ -161,19 +164,21 @@ def _progress(study: GradientStudy, row: GradientRow) -> str:
 
 def _clipping(options: Study) -> list[Evaluation]:
     variants = clipping_variants(options.tasks[0], options.steps)
-    return list(evaluations(variants, range(options.seeds), options.out / "runs"))
+    return _evaluations(options, variants)
 
 
 def _algorithms(options: Study) -> list[Evaluation]:
-    runs = (
-        evaluations(
-            algorithm_variants(task, options.algos, options.steps),
-            range(options.seeds),
-            options.out / "runs",
-        )
-        for task in options.tasks
-    )
-    return list(chain.from_iterable(runs))
+    variants = [
+        algorithm_variants(task, options.algos, options.steps) for task in options.tasks
+    ]
+    return [row for group in variants for row in _evaluations(options, group)]
+
+
+def _evaluations(
+    options: Study, variants: Mapping[str, TrainConfig]
+) -> list[Evaluation]:
+    seeds = range(options.seeds)
+    return evaluations(variants, seeds, options.out / "runs", options.processes)
 
 
 def _rlhf(options: Study) -> list[PreferenceRow]:
@@ -184,8 +189,9 @@ def _rlhf(options: Study) -> list[PreferenceRow]:
         raise UserError(f"--steps must be at least {2 * START} for rlhf, not {steps}")
     variants = Variants(task, taste, steps).of(options.parts)
     judge = Judge(task, taste, options.episodes, HORIZON)
-    folder = options.out / "rlhf"
-    return PreferenceStudy(variants, range(options.seeds), judge, folder).rows()
+    folder, seeds = options.out / "rlhf", range(options.seeds)
+    study = PreferenceStudy(variants, seeds, judge, folder, options.processes)
+    return study.rows()
 
 
 STUDIES: dict[str, tuple[Measure, Figures]] = {

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from manip.cluster.executors import local_executor, run_jobs
+from manip.cluster.executors import local_executor, run_jobs, with_threads
 from manip.cluster.grid import (
     Cell,
     Grid,
@@ -13,6 +13,7 @@ from manip.cluster.grid import (
     split_options,
 )
 from manip.cluster.job import Executor, Job, Outcome
+from manip.cluster.ray_executor import RayExecutor
 from manip.cluster.sweep_folder import (
     Planned,
     check_sweep,
@@ -70,6 +71,10 @@ class Sweep:
     processes: int | None = None
     """Number of runs at a time on this machine; one for each usable CPU unless
     given."""
+    ray: str | None = None
+    """Run on the Ray cluster at this address (host:port), or on the one that this
+    machine belongs to (auto), instead of on this machine alone. Each run takes
+    --threads CPUs, one unless given. Needs the package ray on all machines."""
 
 
 OWN = {f"--{field.name}" for field in fields(Sweep)}
@@ -131,7 +136,12 @@ def _config(cell: Cell) -> TrainConfig:
 
 
 def _executor(options: Sweep, jobs: Sequence[Job]) -> tuple[Executor, list[Job]]:
-    return local_executor(jobs, options.processes, options.out / "logs")
+    logs = options.out / "logs"
+    if options.ray is None:
+        return local_executor(jobs, options.processes, logs)
+    if options.processes is not None:
+        raise UserError("--processes has no effect with --ray: leave it out")
+    return RayExecutor(options.ray, options.out, logs), with_threads(jobs, 1)
 
 
 def _finish(

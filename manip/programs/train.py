@@ -24,9 +24,13 @@ from manip.training.terminal import TerminalProgress
 
 _TEXT_OPTIONS = {
     *("--task", "--algo", "--robot", "--out", "--wandb", "--init", "--teacher"),
-    "--agent.reference",
+    *("--agent.reference", "--preferences", "--labels.taste"),
 }
 """Options whose value is text and must not be rewritten as a number."""
+
+
+WAITING = 75
+"""Exit code of a run that waits for answers: sysexits' "temporary failure, retry"."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,9 @@ class _Start:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Train; 0 when the run finished, 3 when it was stopped and saved before."""
+    """Train; 0 when the run finished, 3 when it was stopped and saved before, 75 when
+    it was saved and waits for people to compare clips (`manip label`).
+    """
     config = config_of(arguments)
     task = load_task(config.task)
     with TerminalProgress() as progress:
@@ -53,6 +59,8 @@ def main(arguments: Sequence[str]) -> int:
         result = train(config, callback=progress)
         if result.finished:
             progress.say(f"trained policy: {result.policy}")
+    if result.waiting:
+        return WAITING
     return 0 if result.finished else 3
 
 

@@ -49,6 +49,13 @@ class Canvas:
         """Draw reflections or leave them out; they are drawn by default."""
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = reflections
 
+    def set_textures(self, ids: Array) -> None:
+        """Change which textures materials have: ids [materials, roles].
+
+        The context holds its own copy of the model's `mat_texid`.
+        """
+        self._drawing.mat_texid[: ids.size] = ids.reshape(-1)
+
     def draw(
         self,
         data: mujoco.MjData,

@@ -4,6 +4,7 @@ OpenGL has one current context per thread. Drawing in a separate thread never
 changes the context that another library made current in the user's thread.
 """
 
+import gc
 import os
 import threading
 from collections.abc import Callable
@@ -105,6 +106,7 @@ class InGLThread(Generic[Opened]):
     """
 
     def __init__(self, make: Callable[[], Opened], number: int = 0) -> None:
+        gc.collect()  # frees contexts of batches that lie in reference cycles
         self._thread = gl_thread(number)
         self.opened = self._thread.open(make)
 

@@ -1,11 +1,12 @@
 """SceneCameras: pictures of a scene's states, drawn by several threads."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from manip.cameras import CameraConfig
+from manip.looks import Looks
 from manip.sim.canvas import camera_view
 from manip.sim.gl import use_backend
 from manip.sim.gl_thread import InGLThread
@@ -14,6 +15,9 @@ from manip.sim.scene import Scene
 from manip.sim.scene_canvas import SceneCanvas
 
 Array = np.ndarray
+
+SAME = Looks()
+"""Every episode looks as robosuite's."""
 
 
 class SceneCameras(NotCopied):
@@ -24,6 +28,7 @@ class SceneCameras(NotCopied):
     Args:
         scene: what is drawn.
         cameras: the cameras, and the size of the pictures.
+        looks: what varies between episodes.
         threads: threads that draw at the same time, each with an OpenGL context
             (0.2 GB); the pictures do not depend on their number.
 
@@ -31,22 +36,35 @@ class SceneCameras(NotCopied):
         UserError: a camera does not exist, or no OpenGL backend works here.
     """
 
-    def __init__(self, scene: Scene, cameras: CameraConfig, threads: int = 1) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        cameras: CameraConfig,
+        looks: Looks = SAME,
+        threads: int = 1,
+    ) -> None:
         for name in cameras.names:
             camera_view(scene.visual, name)
         use_backend()
-        self._scene, self._cameras, self._threads = scene, cameras, threads
+        self._scene, self._cameras, self._looks = scene, cameras, looks
+        self._threads = threads
         self._canvases: list[InGLThread[SceneCanvas]] = []
 
-    def draw(self, states: Array) -> dict[str, Array]:
-        """Draw state rows [n, S]: part name -> uint8 [n, H, W, 3], bottom row first."""
+    def draw(self, states: Array, looks: Array | None = None) -> dict[str, Array]:
+        """Draw states: part name -> uint8 [n, H, W, 3], bottom row first.
+
+        Args:
+            states: [n, S], state rows.
+            looks: [n] int64, the seeds of the looks; of no effect without looks.
+        """
+        seeds = np.zeros(len(states), np.int64) if looks is None else looks
         shape = len(states), self._cameras.size, self._cameras.size, 3
         pictures = {
             part.name: np.empty(shape, np.uint8) for part in self._cameras.parts
         }
         shares = np.array_split(np.arange(len(states)), self._threads)
         futures = [
-            canvas.post(_job(canvas.opened, states, pictures, rows))
+            canvas.post(_job(canvas.opened, states, seeds, pictures, rows))
             for canvas, rows in zip(self._opened(), shares, strict=True)
             if len(rows)
         ]
@@ -59,9 +77,11 @@ class SceneCameras(NotCopied):
         if not all(canvas.alive for canvas in self._canvases):
             self._canvases = []
         for number in range(len(self._canvases), self._threads):
-            canvas = InGLThread(lambda: SceneCanvas(self._scene, self._cameras), number)
-            self._canvases.append(canvas)
+            self._canvases.append(InGLThread(self._new_canvas, number))
         return self._canvases
+
+    def _new_canvas(self) -> SceneCanvas:
+        return SceneCanvas(self._scene, self._cameras, self._looks)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "SceneCameras":
         """The object itself."""
@@ -69,6 +89,10 @@ class SceneCameras(NotCopied):
 
 
 def _job(
-    canvas: SceneCanvas, states: Array, pictures: Mapping[str, Array], rows: Array
-) -> Any:
-    return lambda: canvas.draw(states, pictures, rows)
+    canvas: SceneCanvas,
+    states: Array,
+    looks: Array,
+    pictures: Mapping[str, Array],
+    rows: Array,
+) -> Callable[[], None]:
+    return lambda: canvas.draw(states, looks, pictures, rows)

@@ -11,18 +11,20 @@ meshes (see `manip.sim.thin_meshes`).
 """
 
 from collections.abc import Mapping
-from copy import copy
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from manip.cameras import CameraConfig, part_name
+from manip.looks import Looks
 from manip.sim.canvas import Canvas, camera_view
 from manip.sim.fields import write_slot
 from manip.sim.frustum import Frustum
+from manip.sim.look import Look
 from manip.sim.scene import Scene
 from manip.sim.state_row import state_columns
+from manip.sim.textured_model import textured_model
 from manip.sim.thin_meshes import thin_arm_meshes
 
 Array = np.ndarray
@@ -37,12 +39,17 @@ class SceneCanvas:
     Args:
         scene: what is drawn.
         cameras: the cameras, the size and the quality of the pictures.
+        looks: what varies between episodes.
     """
 
-    def __init__(self, scene: Scene, cameras: CameraConfig) -> None:
+    def __init__(self, scene: Scene, cameras: CameraConfig, looks: Looks) -> None:
         self._scene, self._columns = scene, state_columns(scene)
         self._lean = cameras.quality == "lean"
-        self._model = _drawn_model(scene, cameras.size, self._lean)
+        self._model, textures = textured_model(scene, varied=bool(looks.groups))
+        _show_as_stock(self._model, scene.stock, cameras.size)
+        if self._lean:
+            thin_arm_meshes(self._model)
+        self._look = Look(self._model, textures, looks)
         self._data = mujoco.MjData(self._model)
         self._options = _stock_options()
         views = {name: camera_view(self._model, name) for name in cameras.names}
@@ -53,15 +60,24 @@ class SceneCanvas:
         self._canvas = Canvas(self._model, cameras.size, cameras.size)
         self._canvas.reflect(not self._lean)
 
-    def draw(self, states: Array, pictures: Mapping[str, Array], rows: Array) -> None:
+    def draw(
+        self,
+        states: Array,
+        looks: Array,
+        pictures: Mapping[str, Array],
+        rows: Array,
+    ) -> None:
         """Draw some of the state rows [n, S] into the same rows of pictures.
 
         Args:
             states: [n, S].
+            looks: [n] int64, the seeds of the looks.
             pictures: part name -> uint8 [n, H, W, 3], bottom row first.
             rows: [k] int.
         """
         for row in rows:
+            self._look.apply(int(looks[row]))
+            self._canvas.set_textures(self._model.mat_texid)
             self._pose(states[row])
             for name, (view, frustum) in self._views.items():
                 if self._lean:
@@ -84,15 +100,11 @@ class SceneCanvas:
         mujoco.mj_camlight(model, data)
 
 
-def _drawn_model(scene: Scene, size: int, lean: bool) -> mujoco.MjModel:
-    """A copy of the stock model as robosuite draws it after a reset."""
-    model = copy(scene.visual)
-    model.site_rgba[:] = hidden_site_colours(scene.stock)
-    if lean:
-        thin_arm_meshes(model)
+def _show_as_stock(model: mujoco.MjModel, stock: Any, size: int) -> None:
+    """Hide the sites that robosuite hides, and make room for the pictures."""
+    model.site_rgba[:] = hidden_site_colours(stock)
     screen = model.vis.global_
     screen.offwidth = screen.offheight = size
-    return model
 
 
 def hidden_site_colours(stock: Any) -> Array:

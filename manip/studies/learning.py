@@ -1,17 +1,16 @@
 """Train variants of a run with several seeds, and collect their evaluations."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from manip.agents.ppo import PPOConfig
+from manip.cluster.executors import finish_runs
 from manip.errors import UserError
 from manip.training.config import TrainConfig, recorded
 from manip.training.recipes import recipe
-from manip.training.run import train_or_resume
 from manip.training.run_logs import read_metrics
-from manip.training.terminal import TerminalProgress
 
 EPOCHS = (1, 5, 20)
 """PPO's passes over a rollout that are compared."""
@@ -79,35 +78,48 @@ def _with_evaluations(config: TrainConfig, steps: int | None) -> TrainConfig:
 
 
 def evaluations(
-    variants: Mapping[str, TrainConfig], seeds: Sequence[int], folder: Path
-) -> Iterator[Evaluation]:
+    variants: Mapping[str, TrainConfig],
+    seeds: Sequence[int],
+    folder: Path,
+    processes: int | None = None,
+) -> list[Evaluation]:
     """Train every variant with every seed, in its own folder, and read its evaluations.
 
     A finished run is not repeated. An interrupted run is resumed.
 
+    Args:
+        variants: name -> options.
+        seeds: of each variant.
+        folder: for the run folders.
+        processes: runs at a time; one for each usable CPU unless given.
+
     Raises:
-        UserError: a folder holds a run with other options, or a damaged table.
+        UserError: a folder holds a run with other options, or a damaged table; a run
+            failed.
+        KeyboardInterrupt: the runs were interrupted, and are saved.
     """
-    for variant, config in variants.items():
-        for seed in seeds:
-            out = folder / f"{config.task}-{variant}-{seed}".replace(" ", "-")
-            run = replace(config, seed=seed, out=out)
-            yield from _evaluations_of(run, variant)
+    runs = [
+        (variant, _run(variant, config, seed, folder))
+        for variant, config in variants.items()
+        for seed in seeds
+    ]
+    for _, run in runs:
+        _check_options(run)
+    if finish_runs([run for _, run in runs], processes) is None:
+        raise KeyboardInterrupt
+    return [row for variant, run in runs for row in _read(run, variant)]
 
 
-def _evaluations_of(run: TrainConfig, variant: str) -> list[Evaluation]:
-    _check_options(run)
-    rows = _read(run, variant)
-    if rows and rows[-1].env_steps >= run.steps:
-        return rows
-    with TerminalProgress() as progress:
-        if not train_or_resume(run, callback=progress).finished:
-            raise KeyboardInterrupt
-    return _read(run, variant)
+def _run(variant: str, config: TrainConfig, seed: int, folder: Path) -> TrainConfig:
+    name = f"{config.task}-{variant}-{seed}".replace(" ", "-")
+    return replace(config, seed=seed, out=folder / name)
 
 
 def _check_options(run: TrainConfig) -> None:
-    """Check that a run that exists in the folder has the options of this run."""
+    """Check that a run that exists in the folder has all options of this run.
+
+    Runs that are evaluated at other steps cannot be compared.
+    """
     if not (run.folder / "config.yaml").is_file():
         return
     stored = recorded(run.folder)

@@ -5,14 +5,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from manip.cluster.executors import local_executor, run_jobs
-from manip.cluster.job import Job
+from manip.cluster.executors import finish_runs
 from manip.errors import UserError, one_line
 from manip.io.atomic_files import write_text
 from manip.io.dataclass_values import build
 from manip.studies.rlhf_judge import Judge, Judgement
 from manip.studies.rlhf_variants import REFERENCE, Variant
-from manip.training.config import TrainConfig, check_lasting, lasting, recorded
+from manip.training.config import TrainConfig
 
 
 @dataclass(frozen=True)
@@ -51,12 +50,14 @@ class PreferenceStudy:
         judge: judges every policy.
         folder: for the runs and their labels. Finished runs in it are not repeated,
             and interrupted ones are resumed.
+        processes: runs at a time; one for each usable CPU unless given.
     """
 
     variants: Mapping[str, Variant]
     seeds: Sequence[int]
     judge: Judge
     folder: Path
+    processes: int | None = None
 
     def rows(self) -> list[PreferenceRow]:
         """Train and judge all variants, one stage after the other.
@@ -72,30 +73,16 @@ class PreferenceStudy:
             rows += self._stage([v for v in others if stage < len(v.stages)], stage)
         return rows
 
-    def _stage(self, variants: Sequence[Variant], stage: int) -> Iterator[PreferenceRow]:
+    def _stage(
+        self, variants: Sequence[Variant], stage: int
+    ) -> Iterator[PreferenceRow]:
         cells = [(variant, seed) for seed in self.seeds for variant in variants]
         left = [cell for cell in cells if self._judged(*cell, stage) is None]
-        self._train([self._job(*cell, stage) for cell in left])
+        runs = [self._config(*cell, stage) for cell in left]
+        if runs and finish_runs(runs, self.processes) is None:
+            raise KeyboardInterrupt
         for variant, seed in cells:
             yield self._row(variant, seed, stage)
-
-    def _job(self, variant: Variant, seed: int, stage: int) -> Job:
-        config = self._config(variant, seed, stage)
-        if (config.folder / "config.yaml").is_file():
-            check_lasting(lasting(recorded(config.folder)), config)
-        return Job(config.folder.name, config)
-
-    def _train(self, jobs: Sequence[Job]) -> None:
-        if not jobs:
-            return
-        executor, jobs = local_executor(jobs, None)
-        outcomes = run_jobs(jobs, executor)
-        for job in jobs:
-            outcome = outcomes.get(job.name)
-            if outcome is None or outcome.status == "stopped":
-                raise KeyboardInterrupt
-            if outcome.status == "failed":
-                raise UserError(f"{job.config.folder}: {outcome.error}")
 
     def _config(self, variant: Variant, seed: int, stage: int) -> TrainConfig:
         """Options of a run up to the end of a stage."""
@@ -116,7 +103,9 @@ class PreferenceStudy:
         return replace(config, labels=labels, preferences=self._labels(variant, seed))
 
     def _run(self, name: str, seed: int) -> Path:
-        return self.folder / "runs" / f"{name}-{seed}".replace(", ", "-").replace(" ", "-")
+        return (
+            self.folder / "runs" / f"{name}-{seed}".replace(", ", "-").replace(" ", "-")
+        )
 
     def _labels(self, variant: Variant, seed: int) -> Path:
         return self.folder / "labels" / self._run(variant.name, seed).name

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
 from pathlib import Path
+from statistics import fmean
 
 import numpy as np
 from matplotlib import pyplot as plt
@@ -61,7 +62,6 @@ METHODS = {
     "clone winners": "clone winners, in rounds",
     "dpo, first": "DPO",
     "dpo": "DPO, in rounds",
-    "clone episodes, first": "clone best fresh episodes",
     "clone episodes": "clone best fresh episodes, in rounds",
     f"{FULL}, first": "PPO + KL",
     FULL: "PPO + KL, in rounds",
@@ -173,7 +173,7 @@ def _curve(
         [row for row in rows if (row.variant != REFERENCE, row.env_steps) == stage]
         for stage in stages
     ]
-    across = [np.mean([sqrt(row.divergence) for row in point]) for point in points]
+    across = [fmean(sqrt(row.divergence) for row in point) for point in points]
     values = [seed_interval([value(row) for row in point]) for point in points]
     _with_errors(axes, across, values, style, color, label)
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
-from manip.preferences.label_options import Inputs, LabelOptions, Labeller
+from manip.preferences.label_options import Inputs, Labeller, LabelOptions
 from manip.training.config import TrainConfig
 from manip.training.recipes import recipe
 
@@ -25,7 +25,7 @@ LABELS = 300
 OUTSIDE = 500
 """Comparisons of the part `inputs`."""
 
-COUNTS = (25, 50, 100, 300, 500)
+COUNTS = (25, 100, 300, 500)
 """Numbers of comparisons that the part `labels` compares."""
 
 FEW = 50
@@ -34,7 +34,7 @@ FEW = 50
 BETA = 0.1
 """Weight of the divergence from the reference."""
 
-BETAS = (0.0, 0.03, 0.1, 0.3, 1.0)
+BETAS = (0.0, 0.1, 1.0)
 """Weights that the part `overoptimisation` compares."""
 
 STAGES = 3
@@ -48,6 +48,9 @@ FLAWED: tuple[Labeller, ...] = ("mistake", "noisy", "skip", "myopic", "equal")
 
 NUM_ENVS, HORIZON = 64, 100
 """Environments of a run, and length of their episodes [control steps]."""
+
+ROLLOUT = 32
+"""Control steps of each environment between two updates, as the algorithms have it."""
 
 START = 8_192
 """Control steps of the reference from which the first clips are cut."""
@@ -117,15 +120,15 @@ class Variants:
 
     def _methods(self) -> Iterator[Variant]:
         yield self._true()
-        for label, labels in (("", self._rounds(LABELS)), (", first", _first(LABELS))):
-            yield self._ppo(f"{FULL}{label}", labels)
-            yield self._variant(f"dpo{label}", "dpo", labels)
-            yield self._variant(
-                f"clone winners{label}", "clone-best", labels, source="winners"
-            )
-            yield self._variant(
-                f"clone episodes{label}", "clone-best", labels, source="episodes"
-            )
+        rounds, first = self._rounds(LABELS), _first(LABELS)
+        yield self._ppo(labels_name(LABELS, True), rounds)
+        yield self._ppo(labels_name(LABELS, False), first)
+        episodes, winners = ({"source": each} for each in ("episodes", "winners"))
+        yield self._variant("clone episodes", "clone-best", episodes, rounds)
+        yield self._variant("dpo", "dpo", {}, rounds)
+        yield self._variant("clone winners", "clone-best", winners, rounds)
+        yield self._once("dpo, first", "dpo", {}, first)
+        yield self._once("clone winners, first", "clone-best", winners, first)
 
     def _overoptimisation(self) -> Iterator[Variant]:
         for beta in BETAS:
@@ -160,15 +163,27 @@ class Variants:
         self, name: str, labels: LabelOptions, beta: float = BETA, stages: int = 1
     ) -> Variant:
         agent = PPO | {"reference_beta": beta}
-        return self._variant(name, "ppo-kl", labels, stages, **agent)
+        return self._variant(name, "ppo-kl", agent, labels, stages)
 
     def _variant(
-        self, name: str, algo: str, labels: LabelOptions, stages: int = 1, **agent: Any
+        self,
+        name: str,
+        algo: str,
+        agent: Mapping[str, Any],
+        labels: LabelOptions,
+        stages: int = 1,
     ) -> Variant:
         labels = replace(labels, taste=self.taste)
         config = replace(self._config(algo, agent), labels=labels)
         ends = (self.steps * (k + 1) // stages for k in range(stages))
         return Variant(name, config, tuple(ends))
+
+    def _once(
+        self, name: str, algo: str, agent: Mapping[str, Any], labels: LabelOptions
+    ) -> Variant:
+        """A variant that ends after its only round: it learns nothing afterwards."""
+        variant = self._variant(name, algo, agent, labels)
+        return replace(variant, stages=(START + NUM_ENVS * ROLLOUT,))
 
     def _config(self, algo: str, agent: Mapping[str, Any]) -> TrainConfig:
         config = recipe(self.task, algo)

@@ -1,5 +1,6 @@
 """Build the parts of a run from its options: environments, agent, policy."""
 
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -10,7 +11,6 @@ from manip.agents.image_actor import ImageActor
 from manip.agents.networks import RunningNorm, widths_of
 from manip.agents.policy import Policy
 from manip.agents.policy_card import PolicyCard
-from manip.agents.ppo_kl import PPOKLConfig
 from manip.agents.registry import load_algorithm
 from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
@@ -21,7 +21,7 @@ from manip.errors import UserError
 from manip.training.config import SCALE, TrainConfig
 from manip.training.inputs import cameras_of, spaces_of
 from manip.training.reward_weights import parse_weights
-from manip.training.teacher import check_teacher, expert_of, fitting_policy
+from manip.training.teacher import check_teacher, expert_of, with_reference
 from manip.versions import versions
 
 
@@ -70,7 +70,9 @@ def _training_env(config: TrainConfig, worker: int, workers: int) -> TaskEnv:
         restart_fraction=config.restart_fraction,
     )
     batch.stop_at_faults = config.faults == "stop"
-    return TaskEnv(batch, expert_of(config, batch))
+    clips = config.preferences is not None
+    measures = clips or bool(config.taste)
+    return TaskEnv(batch, expert_of(config, batch), measures=measures, states=clips)
 
 
 def evaluation_env(config: TrainConfig) -> TaskEnv:
@@ -104,10 +106,9 @@ def build_agent(config: TrainConfig, env: TaskEnv) -> Agent:
         UserError: an option does not fit the environment.
     """
     torch.manual_seed(config.seed)
+    config = replace(config, agent=with_reference(config, env.batch))
     spaces = spaces_of(config, env)
     _check_scale(config, spaces.action_dim)
-    if isinstance(config.agent, PPOKLConfig) and config.agent.reference is not None:
-        fitting_policy(config.agent.reference, config, env.batch)
     algorithm = load_algorithm(config.algo)
     native = algorithm.has_native_gradients
     source = {"gradients": config.gradients} if native else {}

@@ -12,6 +12,7 @@ from manip.errors import UserError, shown
 from manip.io.dataclass_values import build
 from manip.io.option_ranges import COUNT, NUMBER, SHARE, Range, check_options
 from manip.io.yaml_files import read_yaml
+from manip.preferences.label_options import LabelOptions
 from manip.robot_config import RobotConfig
 from manip.sim.scene import Fidelity
 from manip.training.reward_weights import parse_weights
@@ -21,9 +22,12 @@ Controller = Literal["OSC_POSE", "OSC_POSITION", "JOINT_POSITION", "JOINT_VELOCI
 MAY_CHANGE = {
     *("out", "resume", "steps", "threads", "wandb"),
     *("eval_every", "eval_episodes", "checkpoint_every", "faults"),
-    "save_buffer",
+    *("save_buffer", "preferences"),
 }
 """Options that may change when a run is resumed; the others made it what it is."""
+
+NESTED = ("labels", "agent")
+"""Options that are groups of options."""
 
 SCALE = "action_scale"
 """Option whose length is that of the controller's action."""
@@ -61,6 +65,9 @@ class TrainConfig:
     camera images and proprioception, without the poses of objects."""
     cameras: tuple[str, ...] = ("robot0_eye_in_hand",)
     """Cameras that the actor sees with `--observe cameras`, by robosuite's names."""
+    parts: tuple[str, ...] = ()
+    """Parts of the observation that the actor sees besides the cameras' images; those
+    that a real arm measures by itself (proprioception) unless given."""
     image_size: Annotated[int, Range(8, 512)] = 32
     """Height and width of the images [pixel]. Larger ones show more, and cost more time
     to draw and to learn from."""
@@ -119,6 +126,14 @@ class TrainConfig:
     """Time between checkpoints [s]; each evaluation also writes one."""
     wandb: str | None = None
     """Log to this Weights & Biases project as well (needs the `wandb` extra)."""
+    preferences: Path | None = None
+    """Folder of clips and comparisons: the run learns from these, and from those that
+    it asks for (see --labels), instead of from the task's reward."""
+    labels: LabelOptions = field(default_factory=LabelOptions)
+    """Options of a run with --preferences."""
+    taste: str = ""
+    """Taste whose weighted penalties are subtracted from the reward (see `manip list`):
+    what labellers of this taste want, as if it were known without labels."""
     agent: AgentConfig = field(default_factory=lambda: load_algorithm("sac").Config())
     """Options of the algorithm."""
 
@@ -153,7 +168,8 @@ class TrainConfig:
 def to_dict(config: TrainConfig) -> dict[str, Any]:
     """Return the options as plain values, fit for YAML."""
     plain = dataclasses.asdict(config) | {"out": str(config.folder)}
-    return _with_lists(plain) | {"agent": _with_lists(plain["agent"])}
+    plain |= {"preferences": config.preferences and str(config.preferences)}
+    return _with_lists(plain) | {name: _with_lists(plain[name]) for name in NESTED}
 
 
 def _with_lists(values: dict[str, Any]) -> dict[str, Any]:
@@ -163,7 +179,9 @@ def _with_lists(values: dict[str, Any]) -> dict[str, Any]:
 def lasting(config: TrainConfig) -> dict[str, Any]:
     """Return the options that must not change when a run is resumed: name -> value."""
     plain = to_dict(config)
-    plain |= {f"agent.{name}": value for name, value in plain.pop("agent").items()}
+    for group in NESTED:
+        options = plain.pop(group).items()
+        plain |= {f"{group}.{name}": value for name, value in options}
     return {name: value for name, value in plain.items() if name not in MAY_CHANGE}
 
 
@@ -197,8 +215,14 @@ def from_dict(values: dict[str, Any]) -> TrainConfig:
         raise UserError(f"algo must be text, not {shown(algo)}")
     _check_names(values)
     agent = build(load_algorithm(algo).Config, values.get("agent") or {})
-    rest = values | {"agent": agent, "out": Path(out) if isinstance(out, str) else out}
+    labels = build(LabelOptions, values.get("labels") or {})
+    rest = values | {"agent": agent, "labels": labels, "out": _path(out)}
+    rest |= {"preferences": _path(values.get("preferences"))}
     return build(TrainConfig, rest)
+
+
+def _path(value: Any) -> Any:
+    return Path(value) if isinstance(value, str) else value
 
 
 def _check_names(values: dict[str, Any]) -> None:

@@ -11,6 +11,7 @@ from manip.envs.task_registry import load_task_named_by
 from manip.errors import UserError, at_least
 from manip.evaluation.report import Evaluation, summarise
 from manip.evaluation.runners import EpisodeSettings, Progress, evaluate_policy
+from manip.preferences.tastes import load_taste
 from manip.sim.scene import Fidelity
 from manip.versions import versions
 
@@ -29,6 +30,7 @@ class EvaluationOptions:
         fidelity: physics of the native engine.
         processes: processes that run stock episodes, one for each usable CPU unless
             given; the number changes the speed only.
+        taste: of the task, whose penalty is measured; None for none.
     """
 
     env: Backend = "stock"
@@ -36,6 +38,7 @@ class EvaluationOptions:
     seed: int = 0
     fidelity: Fidelity = "exact"
     processes: int | None = None
+    taste: str | None = None
 
 
 def load_run(run: Path) -> tuple[Policy, Task]:
@@ -63,7 +66,7 @@ def evaluate_on_task(
         progress: called with the number of episodes that have just ended.
 
     Raises:
-        UserError: the task lacks a part that the policy observes.
+        UserError: the task lacks a part that the policy observes, or has no such taste.
     """
     card, settings = policy.card, _settings(options, policy, task)
     began = time.monotonic()
@@ -81,6 +84,7 @@ def evaluate_on_task(
         **summarise(episodes, task.milestone_names),
         seconds=time.monotonic() - began,
         versions=versions(),
+        taste=options.taste,
     )
 
 
@@ -103,4 +107,5 @@ def _settings(
         seed=options.seed,
         backend=options.env,
         fidelity="exact" if options.env == "stock" else options.fidelity,
+        taste=load_taste(policy.card.task, options.taste) if options.taste else None,
     )

@@ -19,21 +19,24 @@ CAREFUL = {
     "critic_steps": 8_000,
     "critic_rollouts": 5,
     "initial_alpha": 0.01,
+    "initial_weight": 20.0,
 }
 """Options of --agent with which an initial policy is not lost at once: it collects from
-the first step, the critics learn before the actor does, and entropy counts little."""
+the first step, the critics learn before the actor does, entropy counts little, and the
+actor of SAC stays near the policy at first."""
 
 
 def starting_from(config: TrainConfig, where: str) -> TrainConfig:
     """Return the options of a run that starts from a policy.
 
-    The network is the policy's, and the start careful; see `CAREFUL`.
+    The network is the policy's. If it is of the same task, the start is careful; see
+    `CAREFUL`.
 
     Raises:
         UserError: there is no such policy.
     """
     policy = load_policy(where)
-    options: dict[str, Any] = dict(CAREFUL)
+    options: dict[str, Any] = dict(CAREFUL) if policy.card.task == config.task else {}
     if not isinstance(policy.actor, BinnedActor):
         options |= network_options(policy.actor)
     names = {field.name for field in fields(config.agent)}
@@ -80,8 +83,8 @@ def start_agent(config: TrainConfig, agent: Agent, env: TaskEnv) -> tuple[str, .
     initial = initial_actor(policy, agent.actor, spec, where)
     agent.start_from(initial.weights, config.init_std)
     trained = f"{policy.card.task}, {policy.card.robot}, {policy.card.algo}"
-    new = f"all but {', '.join(initial.new)}" if initial.new else "all layers"
-    return (f"actor from {where} ({trained}): {new} loaded; the critics are new",)
+    new = ", ".join([*initial.new, "the critics"])
+    return (f"actor from {where} ({trained}): layers loaded; new: {new}",)
 
 
 def _check_actions(card: PolicyCard, config: TrainConfig, where: str) -> None:

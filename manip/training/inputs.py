@@ -29,11 +29,12 @@ def cameras_of(config: TrainConfig, quality: Quality) -> CameraConfig | None:
 
 
 def spaces_of(config: TrainConfig, env: TaskEnv) -> Spaces:
-    """Sizes of the networks, and what the actor sees of the environment."""
-    return Spaces(
-        env.observation_spec["observation"].shape[-1],
-        env.action_spec.shape[-1],
-        None
-        if config.observe == "state"
-        else camera_inputs(env.batch.observation_spec),
-    )
+    """Sizes of the networks, and what the actor sees of the environment.
+
+    Raises:
+        UserError: the observation lacks a part that the actor is to see.
+    """
+    spec = env.batch.observation_spec
+    actor = None if config.observe == "state" else camera_inputs(spec, config.parts)
+    dim = env.observation_spec["observation"].shape[-1]
+    return Spaces(dim, env.action_spec.shape[-1], actor)

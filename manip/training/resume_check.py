@@ -65,7 +65,9 @@ class ResumeCheck:
     def _check_agent(self, state: dict[str, Any], new: dict[str, Any]) -> None:
         """Check what an agent stores besides its networks, with its replay buffer."""
         check_keys(state, new, "agent")
-        filled = self._filled_agent().extra_state() if "buffer" in new else new
+        filled = new
+        if "buffer" in new:
+            filled = new | self._filled_agent().extra_state()
         for name, expected in filled.items():
             value = state[name]
             if name == "buffer" and value is None:

@@ -22,7 +22,6 @@ from manip.training.checkpoint import Checkpoints
 from manip.training.config import TrainConfig
 from manip.training.memory import memory_errors
 from manip.training.progress import Callback, ignore
-from manip.training.run_state import RunState
 from manip.training.trainer import Trainer
 
 
@@ -38,6 +37,8 @@ class RunResult:
         success: success_once, success_at_end and success_held of the best evaluation;
             empty before the first.
         policy: folder of the best policy; it exists from the first evaluation on.
+        waiting: what the run waits for, in a line, such as answers of people; empty
+            unless it ended because of it.
     """
 
     folder: Path
@@ -46,6 +47,7 @@ class RunResult:
     finished: bool
     success: dict[str, float]
     policy: Path
+    waiting: str = ""
 
 
 def train(
@@ -89,7 +91,7 @@ def train(
         )
         with closing(trainer):
             finished = trainer.run()
-    return _result(config.folder, trainer.state, finished)
+    return _result(trainer, finished)
 
 
 def train_or_resume(
@@ -103,7 +105,8 @@ def train_or_resume(
     return train(replace(config, resume=resume), callback=callback, stop=stop)
 
 
-def _result(folder: Path, state: RunState, finished: bool) -> RunResult:
+def _result(trainer: Trainer, finished: bool) -> RunResult:
+    folder, state = trainer.folder, trainer.state
     return RunResult(
         folder=folder,
         env_steps=state.env_steps,
@@ -111,6 +114,7 @@ def _result(folder: Path, state: RunState, finished: bool) -> RunResult:
         finished=finished,
         success=_success(state.rows, state.best),
         policy=folder / "policy",
+        waiting=trainer.waiting,
     )
 
 

@@ -54,6 +54,21 @@ def check_run_folder(config: TrainConfig) -> None:
         )
 
 
+def check_run_options(config: TrainConfig) -> None:
+    """Check that a run that exists in the folder has the options of this run.
+
+    Raises:
+        UserError: it has others, or its record is damaged.
+    """
+    if not Checkpoints(config.folder).exist():
+        return
+    if lasting(recorded(config.folder)) != lasting(config):
+        raise UserError(
+            f"{config.folder} holds a run with other options: remove it, or choose "
+            "another folder with --out"
+        )
+
+
 def is_startable(config: TrainConfig) -> bool:
     """Whether a run's folder is new, empty, or holds the beginning of the same run."""
     folder = config.folder

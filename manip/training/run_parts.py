@@ -1,9 +1,10 @@
 """The parts of a training run, built from its options."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from manip.agents.agent import Agent
+from manip.agents.registry import load_algorithm
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.rewards.reward_function import RewardFunction
 from manip.training.averages import TrainingAverages
@@ -16,6 +17,11 @@ from manip.training.initial_policy import start_agent
 from manip.training.inputs import spaces_of
 from manip.training.memory import check_memory
 from manip.training.nan_guard import NanGuard
+from manip.training.preferences import (
+    check_preferences,
+    with_preferences,
+    with_taste,
+)
 
 
 @dataclass(frozen=True)
@@ -54,14 +60,17 @@ def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
     Raises:
         UserError: an option does not fit, or there is not enough memory.
     """
+    check_preferences(config)
     envs = training_envs(config)
     evaluator = Evaluator(config)
     check_memory(config, spaces_of(config, evaluator.env))
     agent = build_agent(config, evaluator.env)
-    notes = start_agent(config, agent, evaluator.env)
+    notes = [*start_agent(config, agent, evaluator.env), *_gradient_notes(config)]
+    agent = with_preferences(config, agent, envs[0])
     guard = NanGuard(agent.optimisers(), config.faults == "stop")
     milestones = evaluator.env.batch.task.milestone_names
     batch = envs[0].batch
+    reward = with_taste(config, reward, batch)
     weights = {name: batch.reward_weights[name] for name in batch.reward_names}
     return RunParts(
         envs=envs,
@@ -71,5 +80,12 @@ def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
         guard=guard,
         averages=TrainingAverages(milestones, weights),
         faults=FaultReport(envs, guard),
-        notes=notes,
+        notes=tuple(notes),
     )
+
+
+def _gradient_notes(config: TrainConfig) -> Iterator[str]:
+    """Say where gradients come from, if not from where the options say."""
+    native = load_algorithm(config.algo).has_native_gradients
+    if native and config.gradients == "native" and config.observe == "cameras":
+        yield "gradients: TorchRL's losses, as compiled ones are for the state only"

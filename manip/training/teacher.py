@@ -1,5 +1,10 @@
-"""What a run imitates: the task's expert, or a trained policy."""
+"""What a run imitates or stays close to: the task's expert, or a trained policy."""
 
+from dataclasses import replace
+
+from manip.agents.agent import AgentConfig
+from manip.agents.initial_actor import network_options
+from manip.agents.networks import Actor
 from manip.agents.policy import Policy, load_policy
 from manip.agents.registry import load_algorithm
 from manip.envs.task_batch import TaskBatch
@@ -55,3 +60,21 @@ def fitting_policy(where: str, config: TrainConfig, batch: TaskBatch) -> Policy:
                 f"{wanted}: it does not fit this run"
             )
     return policy
+
+
+def with_reference(config: TrainConfig, batch: TaskBatch) -> AgentConfig:
+    """Options of the algorithm, those of the network as its reference has them.
+
+    Raises:
+        UserError: there is no such reference, or it does not fit the run.
+    """
+    where = getattr(config.agent, "reference", None)
+    if where is None:
+        return config.agent
+    policy = fitting_policy(where, config, batch)
+    if not isinstance(policy.actor, Actor):
+        raise UserError(
+            f"the policy in {where} is no reference: it must see the state and have "
+            "continuous actions; choose one that dqn has not trained"
+        )
+    return replace(config.agent, **network_options(policy.actor))

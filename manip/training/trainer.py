@@ -34,7 +34,10 @@ class Trainer:
         parts: environments, agent, collector, evaluator, guards.
         state: counters and results so far.
         stop: the event.
+        waiting: what the run waits for, in a line; empty unless it ended because of it.
     """
+
+    waiting = ""
 
     def __init__(
         self,
@@ -94,7 +97,7 @@ class Trainer:
             self._report(*self.parts.notes)
         if self.config.init is not None and not self.state.rows:
             self._save(best=self._evaluate())  # the initial policy may stay the best
-        while not (self._complete or self.stopping):
+        while not (self._complete or self.stopping or self._waits()):
             due = self._next_evaluation()
             used = time.process_time()
             self._advance()
@@ -107,11 +110,17 @@ class Trainer:
                 self._save()
         self._end()
 
+    def _waits(self) -> bool:
+        """Whether the agent waits for something that the run cannot go on without."""
+        self.waiting = self.parts.agent.waiting()
+        return bool(self.waiting)
+
     def _end(self) -> None:
         if not self._complete:
             self._save()
             steps = f"{self.state.env_steps:,}"
-            self._report(f"stopped at step {steps}{self._how_to_resume()}")
+            reason = f": {self.waiting}" if self.waiting else ""
+            self._report(f"stopped at step {steps}{reason}{self._how_to_resume()}")
         self._report(self._save_timer.describe(self.checkpoints.latest))
 
     def _advance(self) -> None:
@@ -137,11 +146,15 @@ class Trainer:
         return min((self.state.env_steps // every + 1) * every, self.config.steps)
 
     def _evaluate(self) -> bool:
-        """Evaluate the policy, and save it if it is the best; return whether it is."""
+        """Evaluate the policy, and save it if it is the best; return whether it is.
+
+        With preferences or a taste the latest is: evaluations know nothing of these.
+        """
         evaluation = self.parts.evaluator(self.parts.agent, self.state.env_steps)
         self._log_row(evaluation.row())
         self._report(evaluation.line(self.state.seconds))
         best = not self.state.best or evaluation.score > self.state.best
+        best |= self.config.preferences is not None or bool(self.config.taste)
         if best:
             self.state.best = evaluation.score
             evaluation.policy.save(self.folder / "policy")

@@ -73,6 +73,7 @@ class ExternalBatch(NotCopied, TaskBatch):
         task.module().check_robot_config(robot)
         processes = min(threads or usable_cpus(), num_envs)
         episodes = EpisodeOptions(**({"reward": "stock"} | options))
+        episodes.refuse_looks(task.library)
         cameras = check_cameras(episodes.cameras)
         make = partial(_open, task, robot, hard_reset, cameras, episodes)
         with exits_blamed(task):

@@ -7,6 +7,7 @@ from typing import Any, get_args
 import numpy as np
 
 from manip.cameras import check_cameras
+from manip.envs.episode_looks import EpisodeLooks
 from manip.envs.episode_options import EpisodeOptions
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.external_task import ExternalTask
@@ -19,6 +20,7 @@ from manip.envs.task_check import check_start
 from manip.envs.task_errors import blamed
 from manip.envs.time_step import TimeStep
 from manip.errors import UserError, at_least, check_choice, shown
+from manip.looks import check_looks
 from manip.robot_config import RobotConfig, check_robot_config
 from manip.sim.batch_engine import BatchEngine
 from manip.sim.engine import Snapshot
@@ -96,8 +98,10 @@ class NativeBatch(DeepCopied, TaskBatch):
         )
         self.robot, self.fidelity = robot, fidelity
         cameras = check_cameras(episodes.cameras)
+        looks = check_looks(episodes.looks)
+        self._looks = EpisodeLooks(looks, num_envs)
         self._drawn = (
-            SceneCameras(self.scene, cameras, self.engine.threads)
+            SceneCameras(self.scene, cameras, looks, self.engine.threads)
             if cameras.names
             else None
         )
@@ -128,14 +132,13 @@ class NativeBatch(DeepCopied, TaskBatch):
 
     def _draw(self, env_ids: Array) -> Mapping[str, Array]:
         """The cameras' pictures of the present states."""
-        states = self.engine.states[env_ids]
-        return self._drawn.draw(states) if self._drawn else {}
+        states, looks = self.engine.states[env_ids], self._looks.seeds[env_ids]
+        return self._drawn.draw(states, looks) if self._drawn else {}
 
     def _start_episodes(self, env_ids: Array) -> None:
-        episodes = self.episode[env_ids]
-        streams = EpisodeStreams(
-            self.seed, self.first_env + env_ids, episodes, self.purpose
-        )
+        episodes, numbers = self.episode[env_ids], self.first_env + env_ids
+        streams = EpisodeStreams(self.seed, numbers, episodes, self.purpose)
+        self._looks.begin(env_ids, self.seed, self.purpose, numbers, episodes)
         start = self.task.sample_start(self.scene, streams)
         self.engine.reset(env_ids, start.qpos, start.fields)
         if self._stagger:
@@ -196,6 +199,7 @@ class NativeBatch(DeepCopied, TaskBatch):
             "states": snapshot.states,
             "readings": snapshot.readings,
             **self._clocks(),
+            **self._looks.save_state(),
             "restarts": self._restarts and self._restarts.save_state(),
         }
 
@@ -209,6 +213,7 @@ class NativeBatch(DeepCopied, TaskBatch):
         states = state_array(state, "states", now.states)
         readings = state_array(state, "readings", now.readings)
         self._restore_clocks(state)
+        self._looks.load_state(state)
         if self._restarts:
             self._restarts.load_state(state["restarts"])
         self.engine.restore(Snapshot(states, readings))

@@ -50,6 +50,7 @@ class StockBatch(NotCopied, TaskBatch):
     ) -> None:
         check_flag("hard_reset", hard_reset)
         episodes = EpisodeOptions(**options)
+        episodes.refuse_looks("robosuite")
         cameras = check_cameras(episodes.cameras)
         if stock is None:
             self._driver = open_stock(
