@@ -1,5 +1,7 @@
 """Replay with images: the laws of test_replay hold for each transition's images."""
 
+import resource
+
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -100,3 +102,16 @@ def test_images_count_in_the_memory_of_a_step() -> None:
     huge = ObservationPart("huge_image", (2**20, 2**20, 3), "uint8", "camera")
     with pytest.raises(UserError, match=r"no memory for .*GiB\): choose a smaller"):
         Replay(10, 1, 1, [huge])
+
+
+def test_images_take_memory_only_where_they_have_been_written() -> None:
+    """Ten gigabytes are reserved; a hundred steps take some kilobytes of them."""
+    camera = ObservationPart("wrist_image", (64, 64, 3), "uint8", "camera")
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    replay = Replay(400_000, 1, 1, [camera])
+    steps = rollout(0, "." * 100)
+    for state in (steps, steps["next"]):
+        state[camera.name] = torch.ones(1, 100, *camera.shape, dtype=torch.uint8)
+    replay.add(steps)
+    taken = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert taken < 200_000  # KiB

@@ -71,6 +71,7 @@ class Agent(ABC):
         sees_images: its actor may see camera images (`Spaces.actor`).
         prefers: learns from compared clips (`relabel`, `compare`), not from the
             environment's reward: needs a run with `--preferences`.
+        image_copies: copies of each image in its replay buffer, to check the memory.
         has_native_gradients: its constructor takes the keyword `gradients`, "native" or
             "torchrl"; others always learn through TorchRL's losses and autograd.
     """
@@ -80,6 +81,7 @@ class Agent(ABC):
     off_policy: ClassVar[bool] = False
     imitates: ClassVar[bool] = False
     sees_images: ClassVar[bool] = False
+    image_copies: ClassVar[int] = 1
     prefers: ClassVar[bool] = False
     has_native_gradients: ClassVar[bool] = False
 

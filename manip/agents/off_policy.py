@@ -63,6 +63,7 @@ class OffPolicy(Agent):
     """
 
     off_policy = True
+    image_copies = 2
 
     def __init__(self, config: OffPolicyConfig, spaces: Spaces) -> None:
         check_steps(config.n_step, config.rollout_length)

@@ -48,6 +48,7 @@ class PolicyCard:
         image_channels, image_features: widths of the encoder of each camera; see
             `manip.agents.image_encoder`.
         image_quality: of the images that the policy was trained with.
+        looks: strength of the random looks that it was trained with.
         image_convention: order of the rows: "opengl", the bottom row first, as
             robosuite's camera observations are.
     """
@@ -71,6 +72,7 @@ class PolicyCard:
     )
     image_features: Annotated[int, Range(0, MOST_NEURONS)] = 0
     image_quality: Literal["", "exact", "lean"] = ""
+    looks: Annotated[float, Range(0.0, 1.0)] = 0.0
     image_convention: Literal["opengl"] = "opengl"
     format: Annotated[int, COUNT] = FORMAT
 

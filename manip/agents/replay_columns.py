@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from math import prod
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -55,19 +56,22 @@ def allocate(
             "episode": torch.zeros(capacity, dtype=torch.int64),
             "link": torch.zeros(capacity, dtype=torch.int64),
             **{
-                name(camera.name): torch.zeros(
-                    capacity, *camera.shape, dtype=torch.uint8
-                )
+                name(camera.name): _untouched(capacity, *camera.shape)
                 for camera in cameras
                 for name in (image_before, image_after)
             },
         }
-    except RuntimeError as error:  # torch's allocator
+    except (RuntimeError, MemoryError) as error:  # torch's allocator, numpy's
         size = capacity * row_bytes(observations, actions, cameras) / 2**30
         raise UserError(
             f"no memory for {capacity:,} stored steps ({size:,.1f} GiB): choose a "
             "smaller agent.buffer_size"
         ) from error
+
+
+def _untouched(*shape: int) -> Tensor:
+    """Zeros, uint8, that take memory only where they have been written."""
+    return torch.from_numpy(np.zeros(shape, np.uint8))
 
 
 def check_columns(

@@ -103,10 +103,9 @@ class Executor(Protocol):
 
 
 def evaluation_key(options: EvaluationOptions | None) -> dict[str, str | int]:
-    """The options that decide the result of an evaluation, as plain values."""
-    if options is None:
-        return {}
-    return {k: v for k, v in asdict(options).items() if k != "processes"}
+    """The options that decide the result of an evaluation, without those not set."""
+    values = asdict(options) if options else {}
+    return {k: v for k, v in values.items() if k != "processes" and v is not None}
 
 
 def finished_result(job: Job) -> JobResult | None:

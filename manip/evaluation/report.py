@@ -34,6 +34,8 @@ class Evaluation:
         seconds: wall time of the evaluation.
         taste: name of the taste that was measured; None if none was.
         taste_penalty: mean penalty of a step, a mean over episodes.
+        looks: suite of looks of the images; None for robosuite's own look.
+        image_quality: of the images: exact, lean, or None if the policy sees none.
     """
 
     task: str
@@ -53,6 +55,8 @@ class Evaluation:
     versions: dict[str, str]
     taste: str | None = None
     taste_penalty: Mean | None = None
+    looks: str | None = None
+    image_quality: str | None = None
 
     def to_json(self) -> str:
         """Indented JSON with the fields above."""
@@ -79,7 +83,8 @@ def summarise(episodes: Sequence[Episode], milestones: Sequence[str]) -> dict[st
 def table(result: Evaluation) -> Table:
     """The result as a table; text of the policy's card is printed without markup."""
     library = f"{result.env} {library_of(result.task)}"
-    parts = (result.task, result.robot, result.algo, library)
+    parts = [result.task, result.robot, result.algo, library]
+    parts += [result.looks] if result.looks else []
     title = Text(printable(" · ".join(parts)), style="bold")
     columns = Table(title=title)
     columns.add_column("measure", overflow="fold")

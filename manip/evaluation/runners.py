@@ -57,6 +57,8 @@ class EpisodeSettings:
             that the task comes from.
         fidelity: physics of the native backend.
         taste: penalises the steps; None for nothing.
+        looks: suite of fixed looks of the native backend's images (`manip.looks`);
+            None for robosuite's own look.
     """
 
     task: str | Task
@@ -69,6 +71,7 @@ class EpisodeSettings:
     backend: Backend = "stock"
     fidelity: Fidelity = "exact"
     taste: StepPenalties | None = None
+    looks: str | None = None
 
 
 def evaluate_policy(
@@ -119,6 +122,7 @@ def make_env(settings: EpisodeSettings, num_envs: int = 1) -> TaskEnv:
         seed=settings.seed,
         purpose=settings.purpose,
         cameras=settings.cameras,
+        looks=settings.looks or 0.0,
         **options,
     )
     if settings.observation is not None:

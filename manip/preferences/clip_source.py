@@ -19,6 +19,14 @@ START = ("states", "readings", "motion")
 """Rows of `NativeBatch.record` from which a clip is repeated."""
 
 
+def not_recordable(task: str) -> UserError:
+    """Build the error for a task that does not run on the batch engine."""
+    return UserError(
+        f"clips need the states of the batch engine, which {task} does not run on: "
+        "choose one of its tasks (see `manip list`)"
+    )
+
+
 @dataclass(frozen=True)
 class ClipSource:
     """What all clips of a batch have in common.
@@ -41,10 +49,7 @@ class ClipSource:
             UserError: the batch is not native, so its states cannot be recorded.
         """
         if not isinstance(batch, NativeBatch):
-            raise UserError(
-                f"clips need the states of the batch engine, which {task} does not run "
-                "on: choose a task that it does (see `manip list`)"
-            )
+            raise not_recordable(task)
         header = ClipHeader(
             task=task,
             robot=batch.robot.arm,

@@ -10,6 +10,7 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
+from manip.cameras import Quality
 from manip.envs.external_task import library_of
 from manip.envs.make_batch import Backend
 from manip.errors import at_least
@@ -52,6 +53,13 @@ class Evaluate:
     taste: str | None = None
     """Taste whose mean penalty per control step is measured, too: one of the task's
     (see `manip list`), or a YAML file of your own."""
+    looks: str | None = None
+    """Fixed looks of the images, in turn, to test robustness (native engine): one of
+    unseen-textures, unseen-lights, unseen-cameras and unseen (all of them), each with
+    three looks; with -1, -2 or -3 appended, that look alone."""
+    image_quality: Quality = "exact"
+    """Images of the native engine. exact: robosuite's bytes; lean: several times
+    faster, without reflections and with fewer triangles."""
     json: Path | None = None
     """File for the result as JSON, besides the table."""
 
@@ -84,6 +92,8 @@ def evaluate(options: Evaluate) -> Evaluation:
         options.seed,
         options.fidelity,
         taste=options.taste,
+        looks=options.looks,
+        image_quality=options.image_quality,
     )
     with Progress(console=Console(stderr=True), transient=True) as bar:
         name = f"{options.env} {library_of(policy.card.task)}"

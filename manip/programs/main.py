@@ -11,7 +11,9 @@ from manip.sim.robosuite_log import quiet_robosuite
 
 PROGRAMS = {
     "train": "train a policy",
+    "clips": "record clips of a policy, to be compared",
     "label": "compare pairs of clips on a page in the browser",
+    "comparisons": "check, summarise and merge comparisons of clips",
     "evaluate": "measure a policy's success, in stock robosuite or natively",
     "render": "make a video of a policy",
     "reproduce": "rerun shipped recipes and compare with their results",
@@ -60,7 +62,7 @@ def _program(name: str) -> cli.Program:
 
 
 def _usage() -> str:
-    lines = [f"  {name:10} {purpose}" for name, purpose in PROGRAMS.items()]
+    lines = [f"  {name:11} {purpose}" for name, purpose in PROGRAMS.items()]
     return "\n".join(
         [
             "usage: manip PROGRAM [OPTIONS]",

@@ -77,6 +77,9 @@ class TrainConfig:
     frames: Annotated[int, Range(1, 16)] = 1
     """Latest images that the actor sees of each camera (frame stack). More of them
     show motion, and what has left the view."""
+    looks: Annotated[float, SHARE] = 0.0
+    """Strength, from 0 to 1, of random changes of colours, textures, lights and camera
+    poses in each training episode (domain randomisation). Evaluations have none."""
     teacher: str | None = None
     """Policy that `--algo bc` imitates instead of the task's expert: a run folder, a
     policy folder or the name of a shipped policy. It sees the whole observation."""

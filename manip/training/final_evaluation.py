@@ -1,10 +1,11 @@
 """Evaluate a trained policy over many episodes, into one record."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from manip.agents.policy import Policy, load_policy
+from manip.cameras import CameraConfig, Quality
 from manip.envs.make_batch import Backend
 from manip.envs.task import Task
 from manip.envs.task_registry import load_task_named_by
@@ -31,6 +32,8 @@ class EvaluationOptions:
         processes: processes that run stock episodes, one for each usable CPU unless
             given; the number changes the speed only.
         taste: of the task, whose penalty is measured; None for none.
+        looks: suite of looks, see `manip.looks`; None for robosuite's own look.
+        image_quality: of the native engine's images.
     """
 
     env: Backend = "stock"
@@ -39,6 +42,8 @@ class EvaluationOptions:
     fidelity: Fidelity = "exact"
     processes: int | None = None
     taste: str | None = None
+    looks: str | None = None
+    image_quality: Quality = "exact"
 
 
 def load_run(run: Path) -> tuple[Policy, Task]:
@@ -85,6 +90,8 @@ def evaluate_on_task(
         seconds=time.monotonic() - began,
         versions=versions(),
         taste=options.taste,
+        looks=options.looks,
+        image_quality=settings.cameras and settings.cameras.quality,
     )
 
 
@@ -102,10 +109,23 @@ def _settings(
         task=task,
         robot=policy.card.robot_config,
         observation=policy.card.observation,
-        cameras=policy.card.cameras,
+        cameras=_cameras(options, policy),
         episodes=options.episodes,
         seed=options.seed,
         backend=options.env,
         fidelity="exact" if options.env == "stock" else options.fidelity,
         taste=load_taste(policy.card.task, options.taste) if options.taste else None,
+        looks=options.looks,
     )
+
+
+def _cameras(options: EvaluationOptions, policy: Policy) -> CameraConfig | None:
+    """The cameras of a policy, in the quality of the options."""
+    cameras = policy.card.cameras
+    varied = options.looks or options.image_quality != "exact"
+    if varied and (cameras is None or options.env == "stock"):
+        raise UserError(
+            "--looks and --image-quality are of images that the native engine draws: "
+            "name a policy that sees cameras, and --env native"
+        )
+    return cameras and replace(cameras, quality=options.image_quality)

@@ -8,6 +8,7 @@ from math import prod
 from pathlib import Path
 
 from manip.agents.agent import Spaces
+from manip.agents.registry import load_algorithm
 from manip.errors import UserError, one_line, out_of_memory
 from manip.training.config import TrainConfig
 
@@ -28,7 +29,8 @@ def check_memory(config: TrainConfig, spaces: Spaces) -> None:
     """
     capacity = getattr(config.agent, "buffer_size", 0)
     step = FLOAT_BYTES * (2 * spaces.observation_dim + spaces.action_dim)
-    step += sum(prod(camera.shape) for camera in spaces.inputs.cameras)
+    images = sum(prod(camera.shape) for camera in spaces.inputs.cameras)
+    step += images * load_algorithm(config.algo).image_copies
     _compare(capacity * step, address_space(), capacity)
     _compare(min(capacity, config.steps) * step, available_memory(), capacity)
 
