@@ -17,7 +17,7 @@ from manip.preferences.tastes import Taste, TasteTerm
 from manip.rewards.reward_function import EnvironmentReward
 from manip.studies.rlhf import PreferenceRow, PreferenceStudy
 from manip.studies.rlhf_figures import FIGURES, INPUTS, LABELLERS, METHODS
-from manip.studies.rlhf_judge import Judge, divergence
+from manip.studies.rlhf_scores import Scorer, divergence
 from manip.studies.rlhf_variants import (
     FULL,
     LABELS,
@@ -63,10 +63,10 @@ def constant_actor(mean: list[float], std: list[float]) -> Actor:
 def test_divergence_is_that_of_gaussians() -> None:
     """KL = sum log(s' / s) + (s^2 + (m - m')^2) / (2 s'^2) - 1/2 over the actions."""
     ours = constant_actor([0.3, 0.0], [0.1, 0.5])
-    theirs = constant_actor([0.1, 0.0], [0.2, 0.5])
+    others = constant_actor([0.1, 0.0], [0.2, 0.5])
     by_hand = log(2) + (0.1**2 + 0.2**2) / (2 * 0.2**2) - 0.5
     states = torch.randn(7, 5, 3)
-    assert divergence(ours, theirs, states) == pytest.approx(by_hand, rel=1e-5)
+    assert divergence(ours, others, states) == pytest.approx(by_hand, rel=1e-5)
     assert divergence(ours, ours, states) == 0.0
 
 
@@ -108,8 +108,8 @@ def row(variant: str, seed: int, steps: int = 100) -> PreferenceRow:
     value = 0.1 * seed + 0.01 * len(variant)
     learned = nan if variant in (REFERENCE, TRUE) else value
     kl = 0.0 if variant == REFERENCE else value
-    judged = (8, 1.0, value, value, value, learned, kl)
-    return PreferenceRow("Lift", "gentle", variant, seed, steps, 300, *judged)
+    scored = (8, 1.0, value, value, value, learned, kl)
+    return PreferenceRow("Lift", "gentle", variant, seed, steps, 300, *scored)
 
 
 @pytest.mark.parametrize("part", PARTS)
@@ -159,10 +159,10 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> PreferenceStudy:
         FULL: tiny(variants[FULL], 192, 2),
     }
     folder = tmp_path_factory.mktemp("study")
-    return PreferenceStudy(small, (0,), Judge("Lift", "gentle", 2, 16), folder)
+    return PreferenceStudy(small, (0,), Scorer("Lift", "gentle", 2, 16), folder)
 
 
-def test_a_study_trains_judges_and_goes_on(study: PreferenceStudy) -> None:
+def test_a_study_trains_scores_and_goes_on(study: PreferenceStudy) -> None:
     rows = study.rows()
     names = [(row.variant, row.env_steps) for row in rows]
     assert names == [(REFERENCE, 64), (TRUE, 128), (FULL, 96), (FULL, 192)]
@@ -171,9 +171,9 @@ def test_a_study_trains_judges_and_goes_on(study: PreferenceStudy) -> None:
     assert isnan(reference.learned)
     assert isnan(true.learned)
     assert not isnan(early.learned)
-    for judged in rows:
-        paid = judged.reward - 2 * judged.penalty
-        assert judged.utility == pytest.approx(paid)
+    for scored in rows:
+        paid = scored.reward - 2 * scored.penalty
+        assert scored.utility == pytest.approx(paid)
     before = {path: path.stat().st_mtime_ns for path in study.folder.rglob("*.json*")}
     again = study.rows()
     assert [repr(astuple(row)) for row in again] == [repr(astuple(r)) for r in rows]
@@ -182,7 +182,7 @@ def test_a_study_trains_judges_and_goes_on(study: PreferenceStudy) -> None:
 
 def test_a_study_refuses_runs_of_other_options(study: PreferenceStudy) -> None:
     study.rows()
-    more = replace(study, judge=replace(study.judge, episodes=3))
+    more = replace(study, scorer=replace(study.scorer, episodes=3))
     with pytest.raises(UserError, match="is of 2 episodes, not 3"):
         more.rows()
     other = dict(study.variants)

@@ -28,7 +28,7 @@ from manip.studies.learning import (
 )
 from manip.studies.rlhf import PreferenceRow, PreferenceStudy
 from manip.studies.rlhf_figures import FIGURES
-from manip.studies.rlhf_judge import Judge
+from manip.studies.rlhf_scores import Scorer
 from manip.studies.rlhf_variants import HORIZON, PARTS, START, Part, Variants
 from manip.training.config import TrainConfig
 
@@ -87,7 +87,7 @@ class Study:
     taste: str = "gentle"
     """Taste of the labellers of `rlhf` (see `manip list`)."""
     episodes: int = 100
-    """Episodes in which `rlhf` judges each policy; more give more accurate values."""
+    """Episodes in which `rlhf` scores each policy; more give more accurate values."""
     processes: int | None = None
     """Number of runs at a time; one for each usable CPU unless given."""
     out: Path = Path("runs/study")
@@ -188,9 +188,9 @@ def _rlhf(options: Study) -> list[PreferenceRow]:
     if steps < 2 * START:
         raise UserError(f"--steps must be at least {2 * START} for rlhf, not {steps}")
     variants = Variants(task, taste, steps).of(options.parts)
-    judge = Judge(task, taste, options.episodes, HORIZON)
+    scorer = Scorer(task, taste, options.episodes, HORIZON)
     folder, seeds = options.out / "rlhf", range(options.seeds)
-    study = PreferenceStudy(variants, seeds, judge, folder, options.processes)
+    study = PreferenceStudy(variants, seeds, scorer, folder, options.processes)
     return study.rows()
 
 

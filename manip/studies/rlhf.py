@@ -1,4 +1,4 @@
-"""Study of learning from preferences: train the variants, and judge each policy."""
+"""Study of learning from preferences: train the variants, and score each policy."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,20 +9,20 @@ from manip.cluster.executors import finish_runs
 from manip.errors import UserError, one_line
 from manip.io.atomic_files import write_text
 from manip.io.dataclass_values import build
-from manip.studies.rlhf_judge import Judge, Judgement
+from manip.studies.rlhf_scores import Scorer, PolicyScore
 from manip.studies.rlhf_variants import REFERENCE, Variant
 from manip.training.config import TrainConfig
 
 
 @dataclass(frozen=True)
 class PreferenceRow:
-    """A judged policy.
+    """The score of a policy.
 
     Attributes:
         task, taste: what it was trained for.
         variant, seed, env_steps: of its run.
         labels: comparisons that its run was to learn from; 0 without any.
-        episodes, held, ...: see `Judgement`.
+        episodes, success_held, ...: see `PolicyScore`.
     """
 
     task: str
@@ -32,7 +32,7 @@ class PreferenceRow:
     env_steps: int
     labels: int
     episodes: int
-    held: float
+    success_held: float
     reward: float
     penalty: float
     utility: float
@@ -47,7 +47,7 @@ class PreferenceStudy:
     Attributes:
         variants: name -> variant; the reference is among them.
         seeds: of the runs.
-        judge: judges every policy.
+        scorer: scores every policy.
         folder: for the runs and their labels. Finished runs in it are not repeated,
             and interrupted ones are resumed.
         processes: runs at a time; one for each usable CPU unless given.
@@ -55,12 +55,12 @@ class PreferenceStudy:
 
     variants: Mapping[str, Variant]
     seeds: Sequence[int]
-    judge: Judge
+    scorer: Scorer
     folder: Path
     processes: int | None = None
 
     def rows(self) -> list[PreferenceRow]:
-        """Train and judge all variants, one stage after the other.
+        """Train and score all variants, one stage after the other.
 
         Raises:
             UserError: a run failed, or its folder holds a run with other options.
@@ -77,7 +77,7 @@ class PreferenceStudy:
         self, variants: Sequence[Variant], stage: int
     ) -> Iterator[PreferenceRow]:
         cells = [(variant, seed) for seed in self.seeds for variant in variants]
-        left = [cell for cell in cells if self._judged(*cell, stage) is None]
+        left = [cell for cell in cells if self._stored(*cell, stage) is None]
         runs = [self._config(*cell, stage) for cell in left]
         if runs and finish_runs(runs, self.processes) is None:
             raise KeyboardInterrupt
@@ -111,42 +111,42 @@ class PreferenceStudy:
         return self.folder / "labels" / self._run(variant.name, seed).name
 
     def _row(self, variant: Variant, seed: int, stage: int) -> PreferenceRow:
-        judgement = self._judged(variant, seed, stage)
-        if judgement is None:
-            judgement = self.judge(
+        score = self._stored(variant, seed, stage)
+        if score is None:
+            score = self.scorer(
                 self._run(variant.name, seed),
                 self._run(REFERENCE, seed),
                 self._labels(variant, seed) if variant.compares else None,
             )
-            text = json.dumps(asdict(judgement), indent=2) + "\n"
+            text = json.dumps(asdict(score), indent=2) + "\n"
             write_text(self._file(variant, seed, stage), text)
         return PreferenceRow(
-            task=self.judge.task,
-            taste=self.judge.taste,
+            task=self.scorer.task,
+            taste=self.scorer.taste,
             variant=variant.name,
             seed=seed,
             env_steps=variant.stages[stage],
             labels=variant.config.labels.total if variant.compares else 0,
-            **asdict(judgement),
+            **asdict(score),
         )
 
-    def _judged(self, variant: Variant, seed: int, stage: int) -> Judgement | None:
-        """The judgement in the run folder, if there is one."""
+    def _stored(self, variant: Variant, seed: int, stage: int) -> PolicyScore | None:
+        """The score in the run folder, if there is one."""
         path = self._file(variant, seed, stage)
         if not path.is_file():
             return None
         try:
-            judgement = build(Judgement, json.loads(path.read_text(encoding="utf-8")))
+            score = build(PolicyScore, json.loads(path.read_text(encoding="utf-8")))
         except (ValueError, RecursionError) as error:
             message = f"{path} is damaged: {one_line(error)}; remove it"
             raise UserError(message) from error
-        if judgement.episodes != self.judge.episodes:
+        if score.episodes != self.scorer.episodes:
             raise UserError(
-                f"{path} is of {judgement.episodes} episodes, not "
-                f"{self.judge.episodes}: choose another --out, or as many --episodes"
+                f"{path} is of {score.episodes} episodes, not "
+                f"{self.scorer.episodes}: choose another --out, or as many --episodes"
             )
-        return judgement
+        return score
 
     def _file(self, variant: Variant, seed: int, stage: int) -> Path:
         steps = variant.stages[stage]
-        return self._run(variant.name, seed) / f"judgement-{steps}.json"
+        return self._run(variant.name, seed) / f"score-{steps}.json"

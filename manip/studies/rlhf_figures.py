@@ -50,7 +50,7 @@ class Panel:
 
 
 PANELS = (
-    Panel("success held [%]", lambda row: 100 * row.held),
+    Panel("success held [%]", lambda row: 100 * row.success_held),
     Panel("penalty of the taste per step", lambda row: row.penalty),
     Panel("utility per step", lambda row: row.utility),
 )
@@ -198,9 +198,9 @@ def draw_labels(rows: Rows, path: Path) -> None:
     figure, panels = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
     for axes, panel in zip(panels, (PANELS[2], PANELS[0]), strict=True):
         for index, in_rounds in enumerate((True, False)):
-            found = {n: last(rows, labels_name(n, in_rounds)) for n in COUNTS}
-            counts = [count for count in COUNTS if found[count]]
-            values = [seed_interval([*map(panel.value, found[n])]) for n in counts]
+            rows_of = {n: last(rows, labels_name(n, in_rounds)) for n in COUNTS}
+            counts = [count for count in COUNTS if rows_of[count]]
+            values = [seed_interval([*map(panel.value, rows_of[n])]) for n in counts]
             # The two lines would hide each other's intervals.
             across = [count * (1 + 0.06 * index) for count in counts]
             label = "labels in rounds" if in_rounds else "all labels first"

@@ -38,7 +38,7 @@ BETAS = (0.0, 0.1, 1.0)
 """Weights that the part `overoptimisation` compares."""
 
 STAGES = 3
-"""Times that a run of the part `overoptimisation` is judged."""
+"""Times that a run of the part `overoptimisation` is scored."""
 
 ROUNDS = 5
 """Rounds of comparisons of a run that has them in rounds; a third in the first one."""
@@ -68,7 +68,7 @@ class Variant:
     Attributes:
         name: of the variant.
         config: options of its runs, without seed, folders and reference.
-        stages: control steps after which it is judged.
+        stages: control steps after which it is scored.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Judge a policy by what labellers want: success, taste, divergence, learned reward."""
+"""Scorer a policy by what labellers want: success, taste, divergence, learned reward."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,12 +23,12 @@ from manip.preferences.tastes import load_taste
 
 
 @dataclass(frozen=True)
-class Judgement:
-    """What a policy does in the episodes that all policies of a study are judged in.
+class PolicyScore:
+    """What a policy does in the episodes that all policies of a study are scored in.
 
     Attributes:
         episodes: their number.
-        held: share of the episodes with success_held.
+        success_held: share of the episodes with success_held.
         reward: mean task reward of a control step.
         penalty: mean penalty of the taste of a control step.
         utility: reward minus the weighted penalty: what a labeller wants.
@@ -38,7 +38,7 @@ class Judgement:
     """
 
     episodes: int
-    held: float
+    success_held: float
     reward: float
     penalty: float
     utility: float
@@ -47,7 +47,7 @@ class Judgement:
 
 
 @dataclass(frozen=True)
-class Judge:
+class Scorer:
     """Runs policies in the same episodes of the batch engine, in fast physics.
 
     The policy acts without noise, as it is deployed. The episodes are of another
@@ -67,8 +67,8 @@ class Judge:
 
     def __call__(
         self, policy: Path, reference: Path, labels: Path | None = None
-    ) -> Judgement:
-        """Judge the policy in a run folder.
+    ) -> PolicyScore:
+        """Scorer the policy in a run folder.
 
         Args:
             policy: run folder.
@@ -85,9 +85,9 @@ class Judge:
         taste = load_taste(self.task, self.taste)
         names = self._env.batch.measure_names
         penalty = float(taste.penalties(measures, names).mean())
-        return Judgement(
+        return PolicyScore(
             episodes=self.episodes,
-            held=_held(rollout),
+            success_held=_success_held(rollout),
             reward=reward,
             penalty=penalty,
             utility=reward - taste.weight * penalty,
@@ -151,13 +151,13 @@ def gaussian_actor(folder: Path) -> Actor:
 @torch.no_grad()
 def divergence(actor: Actor, reference: Actor, observation: torch.Tensor) -> float:
     """Mean KL(actor || reference) in states [..., D], in closed form [nat]."""
-    ours, theirs = (
+    ours, others = (
         IndependentNormal(*each(observation)).base_dist for each in (actor, reference)
     )
-    return kl_divergence(ours, theirs).sum(-1).mean().item()
+    return kl_divergence(ours, others).sum(-1).mean().item()
 
 
-def _held(rollout: TensorDictBase) -> float:
+def _success_held(rollout: TensorDictBase) -> float:
     """Share of success_held in the first episode of each environment."""
     tracker = EpisodeTracker(len(rollout))
     ended: dict[int, Episode] = {}
