@@ -9,7 +9,7 @@ from manip.cluster.executors import finish_runs
 from manip.errors import UserError, one_line
 from manip.io.atomic_files import write_text
 from manip.io.dataclass_values import build
-from manip.studies.rlhf_scores import Scorer, PolicyScore
+from manip.studies.rlhf_scores import PolicyScore, Scorer
 from manip.studies.rlhf_variants import REFERENCE, Variant
 from manip.training.config import TrainConfig
 
@@ -103,9 +103,8 @@ class PreferenceStudy:
         return replace(config, labels=labels, preferences=self._labels(variant, seed))
 
     def _run(self, name: str, seed: int) -> Path:
-        return (
-            self.folder / "runs" / f"{name}-{seed}".replace(", ", "-").replace(" ", "-")
-        )
+        plain = name.replace(",", "").replace(" ", "-")
+        return self.folder / "runs" / f"{plain}-{seed}"
 
     def _labels(self, variant: Variant, seed: int) -> Path:
         return self.folder / "labels" / self._run(variant.name, seed).name

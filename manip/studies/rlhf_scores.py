@@ -1,4 +1,4 @@
-"""Scorer a policy by what labellers want: success, taste, divergence, learned reward."""
+"""Score a policy by what labellers want: success, taste, learned reward, KL."""
 
 from dataclasses import dataclass
 from functools import cached_property
