@@ -36,7 +36,7 @@ class PreferenceRow:
     reward: float
     penalty: float
     utility: float
-    learned: float
+    learned: float | None
     divergence: float
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import sqrt
+from math import nan, sqrt
 from pathlib import Path
 from statistics import fmean
 
@@ -157,7 +157,7 @@ def draw_overoptimisation(rows: Rows, path: Path) -> None:
 
 
 def _learned(row: PreferenceRow) -> float:
-    return row.learned
+    return nan if row.learned is None else row.learned
 
 
 def _utility(row: PreferenceRow) -> float:

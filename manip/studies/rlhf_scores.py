@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import nan
 from pathlib import Path
 
 import torch
@@ -32,7 +31,7 @@ class PolicyScore:
         reward: mean task reward of a control step.
         penalty: mean penalty of the taste of a control step.
         utility: reward minus the weighted penalty: what a labeller wants.
-        learned: mean learned reward of a step; nan without a reward model.
+        learned: mean learned reward of a step; None without a reward model.
         divergence: mean KL(policy || reference) of the action distributions in the
             visited states [nat per control step].
     """
@@ -42,7 +41,7 @@ class PolicyScore:
     reward: float
     penalty: float
     utility: float
-    learned: float
+    learned: float | None
     divergence: float
 
 
@@ -91,7 +90,7 @@ class Scorer:
             reward=reward,
             penalty=penalty,
             utility=reward - taste.weight * penalty,
-            learned=_learned(rollout, labels) if labels else nan,
+            learned=_learned(rollout, labels) if labels else None,
             divergence=divergence(actor, start, rollout["observation"]),
         )
 
