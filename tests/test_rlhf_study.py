@@ -16,7 +16,7 @@ from manip.preferences.taste_reward import TasteReward
 from manip.preferences.tastes import Taste, TasteTerm
 from manip.rewards.reward_function import EnvironmentReward
 from manip.studies.rlhf import PreferenceRow, PreferenceStudy
-from manip.studies.rlhf_figures import FIGURES, INPUTS, LABELLERS, METHODS
+from manip.studies.rlhf_figures import FIGURES, INPUTS, LABELLERS, METHODS, gain
 from manip.studies.rlhf_scores import Scorer, divergence
 from manip.studies.rlhf_variants import (
     FULL,
@@ -126,6 +126,18 @@ def test_each_part_has_a_figure(part: Part, seeds: int, tmp_path: Path) -> None:
     assert (tmp_path / "figure.png").stat().st_size > 10_000
 
 
+def test_gain_is_relative_to_the_known_taste_of_the_same_seed() -> None:
+    """Seed 0: 0.2 to 0.6, seed 1: 0.1 to 0.2; a run in the middle gains a half."""
+    utilities = {0: (0.2, 0.6, 0.4), 1: (0.1, 0.2, 0.15)}
+    rows = [
+        replace(row(variant, seed), utility=utility)
+        for seed, values in utilities.items()
+        for variant, utility in zip((REFERENCE, TRUE, FULL), values, strict=True)
+    ]
+    shares = [gain(rows)(each) for each in rows]
+    assert shares == pytest.approx(2 * [0.0, 100.0, 50.0])
+
+
 def tiny(variant: Variant, steps: int, stages: int) -> Variant:
     """The variant with few steps and labels."""
     config = variant.config
@@ -190,5 +202,5 @@ def test_a_study_refuses_runs_of_other_options(study: PreferenceStudy) -> None:
     other[FULL] = replace(
         other[FULL], config=replace(config, horizon=17), stages=(320,)
     )
-    with pytest.raises(UserError, match="horizon was 16, not 17"):
+    with pytest.raises(UserError, match="holds a run with other options"):
         replace(study, variants=other).rows()

@@ -9,6 +9,7 @@ from statistics import fmean
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from manip.io.atomic_files import replace_file
 from manip.studies.bootstrap import Interval
@@ -56,6 +57,9 @@ PANELS = (
 )
 """What the figures of bars show: utility is task reward minus weighted penalty."""
 
+MOST_PERCENT = 102.0
+"""End of the axis of success; intervals may reach beyond 100 %."""
+
 METHODS = {
     REFERENCE: "reference (no labels)",
     "clone winners, first": "clone winners",
@@ -80,48 +84,70 @@ LABELLERS = {
     REFERENCE: "reference (no labels)",
     FULL: "oracle",
     **{f"{FULL}, {name}": name for name in FLAWED},
+    TRUE: "taste known as a formula",
 }
 
 
 def draw_methods(rows: Rows, path: Path) -> None:
     """Draw each method at equal labels."""
-    title = f"{LABELS} labels, {rows[0].taste} taste"
-    _bars(rows, METHODS, title, path)
+    _bars(rows, METHODS, f"{LABELS} labels", path)
 
 
 def draw_inputs(rows: Rows, path: Path) -> None:
     """Draw what a reward model gains that has no named measures."""
-    title = f"PPO + KL, {OUTSIDE} labels in rounds, {rows[0].taste} taste"
-    _bars(rows, INPUTS, title, path)
+    _bars(rows, INPUTS, f"PPO + KL, {OUTSIDE} labels in rounds", path)
 
 
 def draw_labellers(rows: Rows, path: Path) -> None:
     """Draw each simulated labeller."""
-    title = f"PPO + KL, {LABELS} labels in rounds, {rows[0].taste} taste"
-    _bars(rows, LABELLERS, title, path)
+    _bars(rows, LABELLERS, f"PPO + KL, {LABELS} labels in rounds", path)
 
 
 def _bars(rows: Rows, labels: Mapping[str, str], title: str, path: Path) -> None:
-    """Draw a line for each variant: its mean, interval and seeds, in three panels."""
+    """Draw a line for each variant: its mean, interval and seeds, in four panels."""
     shown = {name: label for name, label in labels.items() if last(rows, name)}
+    quantities = [*PANELS, Panel("share of the known taste's gain [%]", gain(rows))]
     figure, panels = plt.subplots(
         1,
-        len(PANELS),
-        figsize=(11, 1.3 + 0.36 * len(shown)),
+        len(quantities),
+        figsize=(13, 1.3 + 0.36 * len(shown)),
         layout="constrained",
         sharey=True,
     )
-    for axes, panel in zip(panels, PANELS, strict=True):
+    for axes, panel in zip(panels, quantities, strict=True):
         for place, name in enumerate(shown):
             _bar(axes, place, [panel.value(row) for row in last(rows, name)])
         axes.set_title(panel.title, fontsize="medium")
         axes.grid(axis="x", alpha=0.3)
+    panels[0].set_xlim(right=min(panels[0].get_xlim()[1], MOST_PERCENT))
     panels[0].set_yticks(range(len(shown)), list(shown.values()), fontsize="small")
     panels[0].set_ylim(len(shown) - 0.5, -0.5)
-    seeds = len({row.seed for row in rows})
-    figure.suptitle(f"{rows[0].task}: {title}; {seeds} seeds (dots), 95 % intervals")
+    figure.suptitle(_title(rows, title))
+    _write(figure, path)
+
+
+def _title(rows: Rows, what: str) -> str:
+    first, seeds = rows[0], len({row.seed for row in rows})
+    return f"{first.task}, {first.taste} taste: {what}; {seeds} seeds, 95 % intervals"
+
+
+def _write(figure: Figure, path: Path) -> None:
     replace_file(path, lambda part: figure.savefig(part, dpi=120))
     plt.close(figure)
+
+
+def gain(rows: Rows) -> Value:
+    """What a run gains in utility over its reference, in percent of what the run with
+    the known taste gains over the same reference.
+    """
+    reference = {row.seed: row.utility for row in last(rows, REFERENCE)}
+    true = {row.seed: row.utility for row in last(rows, TRUE)}
+
+    def share(row: PreferenceRow) -> float:
+        start, end = reference[row.seed], true[row.seed]
+        return 100 * (row.utility - start) / (end - start)
+
+    return share
 
 
 def _bar(axes: Axes, place: int, values: Sequence[float]) -> None:
@@ -130,7 +156,8 @@ def _bar(axes: Axes, place: int, values: Sequence[float]) -> None:
     axes.plot(ends, [place] * 2, lw=7, alpha=0.3, color=color, solid_capstyle="butt")
     axes.plot(interval.value, place, "|", ms=14, mew=2, color=color)
     axes.plot(values, [place] * len(values), "o", ms=3, color=color)
-    text = f"{interval.value:.0f}" if interval.value > 1 else f"{interval.value:.2f}"
+    large = max(map(abs, values)) > 2
+    text = f"{interval.value:.0f}" if large else f"{interval.value:.2f}"
     place_of_text = (interval.value, place - 0.22)
     axes.annotate(text, place_of_text, fontsize="x-small", ha="center", va="bottom")
 
@@ -153,6 +180,8 @@ def draw_overoptimisation(rows: Rows, path: Path) -> None:
     panels[1].set_title("what the labeller wants: utility per step")
     for axes in panels:
         axes.set_xlabel("sqrt(KL from the reference) [nat$^{1/2}$ per step]")
+        axes.set_xlim(left=0.0)
+    figure.suptitle(_title(rows, "PPO + KL after each third of a run"))
     save(figure, list(panels), path)
 
 
@@ -210,7 +239,14 @@ def draw_labels(rows: Rows, path: Path) -> None:
                 level = seed_interval([*map(panel.value, known)]).value
                 axes.axhline(level, ls=style, color="gray", label=METHODS[name])
         axes.set(title=panel.title, xlabel="labels", xscale="log")
-    save(figure, list(panels), path)
+        axes.set_xticks(COUNTS, [str(count) for count in COUNTS], minor=False)
+        axes.minorticks_off()
+    panels[1].set_ylim(top=min(panels[1].get_ylim()[1], MOST_PERCENT))
+    figure.suptitle(_title(rows, "PPO + KL"))
+    for axes in panels:
+        axes.grid(alpha=0.3)
+    panels[0].legend(fontsize="small")
+    _write(figure, path)
 
 
 def last(rows: Rows, name: str) -> list[PreferenceRow]:

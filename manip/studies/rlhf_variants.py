@@ -149,6 +149,7 @@ class Variants:
         yield self._ppo(raw_name(), self._rounds(OUTSIDE, inputs=RAW))
 
     def _labellers(self) -> Iterator[Variant]:
+        yield self._true()
         yield self._ppo(FULL, self._rounds(LABELS))
         for labeller in FLAWED:
             labels = self._rounds(LABELS, labeller=labeller)
