@@ -1,9 +1,11 @@
 """A3C: the gradients of its workers, their age, determinism, learning."""
 
 from dataclasses import replace
+from threading import Event
 
 import pytest
 import torch
+from tensordict import TensorDictBase
 from toy import QUICK_A2C, SPACES, Points, make_agent, mean_return
 
 from manip.agents.a2c import A2C
@@ -20,13 +22,18 @@ QUICK = A3CConfig(
 )
 
 
-def run(agent: A2C, workers: int, steps: int) -> A2C:
+def points(workers: int) -> list[Points]:
+    """16 points, shared by the workers."""
+    size = 16 // workers
+    return [Points([20] * size, seed=worker) for worker in range(workers)]
+
+
+def run(agent: A2C, workers: int, steps: int, asynchronous: bool = False) -> A2C:
     """After so many control steps of 16 points, shared by the workers."""
     torch.manual_seed(5)
-    size = 16 // workers
-    envs = [Points([20] * size, seed=worker) for worker in range(workers)]
-    collector = Collector(envs, agent, ahead=False, reward=EnvironmentReward())
-    for _ in range(steps // (size * agent.rollout_length)):
+    envs = points(workers)
+    collector = Collector(envs, agent, False, EnvironmentReward(), asynchronous)
+    for _ in range(steps // (envs[0].batch_size[0] * agent.rollout_length)):
         agent.update(collector.next().batch)
     return agent
 
@@ -75,6 +82,45 @@ def test_threads_do_not_change_a_bit() -> None:
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_learns_to_go_to_the_goal(seed: int) -> None:
     assert mean_return(run(make_agent(QUICK, seed), 3, 3200)) > 15.5
+
+
+def test_learns_asynchronously() -> None:
+    assert mean_return(run(make_agent(QUICK, 0), 3, 3200, asynchronous=True)) > 15.5
+
+
+class Blocked(Points):
+    """Points that take no step before `released`."""
+
+    released = Event()
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        self.released.wait(timeout=60)
+        return super()._step(tensordict)
+
+
+def test_a_slow_worker_delays_no_other() -> None:
+    agent = make_agent(QUICK, seed=0)
+    envs = [Blocked([20] * 5), *(Points([20] * 5, seed=i) for i in (1, 2))]
+    collector = Collector(envs, agent, False, EnvironmentReward(), asynchronous=True)
+    for _ in range(6):
+        agent.update(collector.next().batch)
+    assert not Blocked.released.is_set()
+    Blocked.released.set()
+    assert all(job.result() for job in collector._pending)
+    collector.close()
+
+
+def test_rollouts_under_way_are_in_the_order_of_their_workers() -> None:
+    """A run is resumed with this order, of which the first is missing."""
+    envs = [Points([20] * size) for size in (1, 2, 3)]
+    agent = make_agent(QUICK_A2C, seed=0)
+    collector = Collector(envs, agent, False, EnvironmentReward(), asynchronous=True)
+    for _ in range(12):
+        taken = collector.next().batch
+        under_way = [job.result().batch for job in collector._pending]
+        workers = [batch.shape[0] - 1 for batch in (taken, *under_way)]
+        assert workers == [(collector._turn + i) % 3 for i in range(3)]
+    collector.close()
 
 
 def test_workers_share_one_normalisation() -> None:

@@ -14,6 +14,7 @@ from manip.benchmarks.rounds import Comparison, Settings, measure
 from manip.envs.task import Task
 from manip.programs import cli
 from manip.programs.benchmark import main
+from manip.sim import gl
 from manip.sim.bare_physics import bare_physics
 from manip.sim.batch_engine import BatchEngine
 from manip.sim.scene import Scene
@@ -119,6 +120,16 @@ def test_env_compares_with_the_engine(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(gl.find_backend() is None, reason=gl.INSTALL_HINT)
+def test_cameras_are_compared_and_drawn(tmp_path: Path) -> None:
+    values = figures(tmp_path, "cameras", "--plot", str(tmp_path / "plot.png"))
+    assert len(values) == 12
+    assert values["robot0_eye_in_hand_64_lean_vs_robosuite"] > 3
+    assert values["agentview_64_lean_vs_robosuite"] > 2
+    assert (tmp_path / "plot.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
 def test_scaling_draws_its_plot(tmp_path: Path) -> None:
     values = figures(tmp_path, "scaling", "--plot", str(tmp_path / "plot.png"))
     assert values.keys() == {"most_envs_vs_one", "all_threads_vs_one"}
@@ -185,10 +196,10 @@ def test_envpool_is_compared(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ("engin", "Expected one of ('engine', 'env', 'startup'"),
+        ("engin", "Expected one of ('engine', 'cameras', 'env'"),
         ("engine --num-envs 0", "--num-envs must be at least 1, not 0"),
         ("engine --task Lfit", "did you mean 'Lift'"),
-        ("env --plot x.png", "--plot draws `scaling` only"),
+        ("env --plot x.png", "--plot draws `scaling` and `cameras` only"),
         ("env --json .", "--json . is a folder"),
         ("scaling --plot x.doc", "unknown file format"),
     ],

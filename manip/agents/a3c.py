@@ -7,14 +7,17 @@ Each of them repeats:
     collect a rollout, and compute the gradient g_w of A2C's loss at theta_w
     step the shared parameters:  theta <- Adam(theta, g_w)
 
-The updates are pipelined, not asynchronous: the shared steps are taken in a fixed order
-of the workers, and a worker that is ready early waits for its turn, so that a run
-repeats bit for bit. The paper takes each gradient when it arrives. As in the paper, a
-gradient is stale: it is `workers` - 1 updates old when it is used.
+By default the updates are pipelined, not asynchronous: the shared steps are taken in a
+fixed order of the workers, and a worker that is ready early waits for its turn, so that
+a run repeats bit for bit. A gradient is `workers` - 1 updates old when it is used.
+
+With `asynchronous`, as in the paper, each gradient is used when it arrives. A slow
+worker delays no other, the ages of gradients vary with the speed of the threads, and a
+run does not repeat.
 """
 
+from collections import deque
 from dataclasses import dataclass
-from itertools import cycle
 from typing import Annotated
 
 import torch
@@ -34,6 +37,9 @@ class A3CConfig(A2CConfig):
 
     workers: Annotated[int, COUNT] = 4
     """Threads that collect and differentiate; num_envs is split evenly over them."""
+    asynchronous: bool = False
+    """Use each worker's gradient as soon as it is there, as in the paper. Otherwise in
+    turns, which repeats bit for bit."""
 
 
 class Worker(RolloutPolicy):
@@ -52,11 +58,12 @@ class A3C(A2C):
 
     def __init__(self, config: A3CConfig, spaces: Spaces, threads: int = 1) -> None:
         super().__init__(config, spaces)
-        self._copies = cycle([A2C(config, spaces) for _ in range(config.workers)])
+        self._copies = deque(A2C(config, spaces) for _ in range(config.workers))
+        """Networks that no worker uses at present."""
 
     def policy(self) -> TensorDictModuleBase:
-        """Return the next worker, with a copy of the present shared parameters."""
-        copy = next(self._copies)
+        """Return a worker, with a copy of the present shared parameters."""
+        copy = self._copies.popleft()
         copy.load(self)
         return Worker(copy)
 
@@ -67,10 +74,12 @@ class A3C(A2C):
         assert isinstance(policy, Worker)
         copy = policy.copy
         terms = copy.differentiate(add_values(batch, copy.critic))
+        gradient = copy.gradient.clone()
+        self._copies.append(copy)
         return TensorDict(
             {
                 "observation": batch["observation"],
-                "gradient": copy.gradient.clone(),
+                "gradient": gradient,
                 "logged": {name: torch.tensor(term) for name, term in terms.items()},
             }
         )

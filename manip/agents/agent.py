@@ -29,6 +29,9 @@ class AgentConfig:
     workers = 1
     """Groups of environments whose rollouts are collected side by side."""
 
+    asynchronous = False
+    """Learn from the rollouts of the groups as they end, not in turns."""
+
 
 @dataclass(frozen=True)
 class Spaces:

@@ -45,6 +45,7 @@ class Comparison:
         unit: of all measurements.
         warm_up: whether each candidate runs once before the first round.
         derive: rounds -> further figures.
+        task: that is simulated.
     """
 
     title: str
@@ -55,6 +56,7 @@ class Comparison:
     unit: str = "control steps/s"
     warm_up: bool = True
     derive: Callable[[dict[str, list[float]]], dict[str, float]] | None = None
+    task: str = ""
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,13 @@ class JobResult:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a job ended: finished, failed with an error, or stopped and saved before."""
+    """How a job ended.
+
+    Attributes:
+        status: finished, failed, or stopped (and saved) before its end.
+        result: of a finished job.
+        error: why it failed, or what a stopped one waits for, such as people's answers.
+    """
 
     status: Literal["finished", "failed", "stopped"]
     result: JobResult | None = None

@@ -113,7 +113,7 @@ def describe(outcome: Outcome) -> str:
     if outcome.status == "failed":
         return f"failed: {outcome.error}"
     if result is None:
-        return "is stopped and saved"
+        return f"is saved and waits: {outcome.error}" if outcome.error else "is saved"
     rates = result.success or result.training
     where = f"{result.evaluation['env']}" if result.evaluation else "training"
     rate = rates.get("success_held")

@@ -64,8 +64,8 @@ class LocalExecutor:
             reporter = Reporter(partial(watch.reported, job), log_of(job, self._logs))
             outcome = run_job(job, reporter, stop)
             watch.ended(job, outcome)
-            if outcome.status == "stopped":
-                return
+            if outcome.status == "stopped" and not outcome.error:
+                return  # by a signal, which the run has handled
 
     def _run(self, waiting: deque[Job], watch: Watch, stop: Event) -> None:
         stopping = False

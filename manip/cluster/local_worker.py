@@ -18,7 +18,7 @@ from manip.envs.backends.worker_pool import end_with_parent
 from manip.sim.robosuite_log import quiet_robosuite
 
 REPORT_EVERY = 0.2
-"""Seconds between two reports of a job; messages are sent at once."""
+"""Seconds between two reports of a job on this machine."""
 
 
 def log_of(job: Job, logs: Path | None) -> Path:
@@ -34,22 +34,29 @@ def append_lines(path: Path, lines: Iterable[str]) -> None:
 
 
 class Reporter:
-    """Pass on reports at most every `REPORT_EVERY` seconds, those with messages always.
+    """Pass on reports every few seconds at most, those with messages always.
 
     Args:
         send: receives the reports.
         log: text file that messages are appended to.
+        every: seconds between two reports.
     """
 
-    def __init__(self, send: Callable[[Report], object], log: Path) -> None:
-        self._send, self._log, self._last = send, log, 0.0
+    def __init__(
+        self,
+        send: Callable[[Report], object],
+        log: Path,
+        every: float = REPORT_EVERY,
+    ) -> None:
+        self._send, self._log, self._every = send, log, every
+        self._last = 0.0
 
     def __call__(self, report: Report) -> None:
         """Pass on the report, or drop it."""
         now = time.monotonic()
         if report.messages:
             append_lines(self._log, report.messages)
-        elif now - self._last < REPORT_EVERY:
+        elif now - self._last < self._every:
             return
         self._last = now
         self._send(report)

@@ -22,6 +22,9 @@ from manip.versions import versions
 
 CHECKPOINT = Path("checkpoints/latest.safetensors")
 
+REPORT_EVERY = 2.0
+"""Seconds between two reports of a job: one actor receives those of all nodes."""
+
 LAST = ("checkpoints", "result.json")
 """What is brought back after all else: a copy that ends in between then holds a
 checkpoint that is older than its other files, as after a kill, and no result."""
@@ -80,7 +83,7 @@ def _run(
             stop.set()
         bring_back()
 
-    return run_job(job, Reporter(send, Path(os.devnull)), stop)
+    return run_job(job, Reporter(send, Path(os.devnull), REPORT_EVERY), stop)
 
 
 @contextmanager

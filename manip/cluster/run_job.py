@@ -67,7 +67,7 @@ def _run(job: Job, send: Send, stop: Event) -> Outcome:
             job.config, callback=lambda progress: send(_report(progress)), stop=stop
         )
         if not trained.finished:
-            return Outcome("stopped")
+            return Outcome("stopped", error=trained.waiting)
         try:
             result = _result(trained, job, send, stop)
         except _Stopped:

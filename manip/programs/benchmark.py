@@ -24,6 +24,9 @@ class Benchmark:
 
     engine: batch engine, MuJoCo's bare physics and stock robosuite.
 
+    cameras: frames per CPU second of exact and lean pictures beside robosuite's own
+    (--plot FILE).
+
     env: TorchRL and Gymnasium environments and a collect loop with a policy, as a
     fraction of the engine's speed.
 
@@ -43,7 +46,16 @@ class Benchmark:
     """
 
     what: Annotated[
-        Literal["engine", "env", "startup", "scaling", "learner", "returns", "envpool"],
+        Literal[
+            "engine",
+            "cameras",
+            "env",
+            "startup",
+            "scaling",
+            "learner",
+            "returns",
+            "envpool",
+        ],
         tyro.conf.Positional,
     ]
     """Benchmark to run."""
@@ -56,7 +68,8 @@ class Benchmark:
     json: Path | None = None
     """File for figures, medians and spreads, as JSON."""
     plot: Path | None = None
-    """File for a plot of the result, .png, .pdf or .svg (scaling only)."""
+    """File for a plot of the result, .png, .pdf or .svg (scaling), or for the pictures
+    that were drawn (cameras)."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -81,7 +94,9 @@ def _check(options: Benchmark, benchmark: Any) -> None:
     at_least(1, "--rounds", options.rounds)
     load_task(options.task)
     if options.plot and not hasattr(benchmark, "plot"):
-        raise UserError(f"--plot draws `scaling` only, not {options.what!r}")
+        raise UserError(
+            f"--plot draws `scaling` and `cameras` only, not {options.what!r}"
+        )
     if options.json:
         check_output(options.json, "--json")
     if options.plot:

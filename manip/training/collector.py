@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -78,6 +78,9 @@ class Collector:
     last one. In both cases a policy is a fixed number of updates old at any speed
     of the threads, so that a run repeats bit for bit.
 
+    With `asynchronous`, the rollout that ends first is taken first, and the run does
+    not repeat.
+
     Args:
         reward: computes the reward that the agent learns from, on the thread that
             collects.
@@ -89,8 +92,10 @@ class Collector:
         agent: Agent,
         ahead: bool,
         reward: RewardFunction,
+        asynchronous: bool = False,
     ) -> None:
         self._envs, self._agent, self._ahead = envs, agent, ahead
+        self._asynchronous = asynchronous
         self._reward = reward
         self._rollouts = [Rollout(env) for env in envs]
         self._pool = ThreadPoolExecutor(len(envs), "manip-collect")
@@ -100,10 +105,19 @@ class Collector:
     def next(self) -> Experience:
         """Wait for the next rollout and return it."""
         self._submit()
+        if self._asynchronous:
+            self._let_first_be_next()
         experience = self._pending.popleft().result()
         if self._ahead:
             self._submit()
         return experience
+
+    def _let_first_be_next(self) -> None:
+        """Turn the order of the environment batches to one whose rollout has ended."""
+        wait(self._pending, return_when=FIRST_COMPLETED)
+        place = next(i for i, job in enumerate(self._pending) if job.done())
+        self._pending.rotate(-place)
+        self._turn += place
 
     def close(self) -> None:
         """Wait for rollouts under way, and end the threads."""

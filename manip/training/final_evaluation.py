@@ -91,7 +91,7 @@ def evaluate_on_task(
         versions=versions(),
         taste=options.taste,
         looks=options.looks,
-        image_quality=settings.cameras and settings.cameras.quality,
+        image_quality=settings.cameras.quality if settings.cameras else None,
     )
 
 

@@ -76,7 +76,9 @@ def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
         envs=envs,
         agent=agent,
         evaluator=evaluator,
-        collector=Collector(envs, agent, overlaps(config), reward),
+        collector=Collector(
+            envs, agent, overlaps(config), reward, config.agent.asynchronous
+        ),
         guard=guard,
         averages=TrainingAverages(milestones, weights),
         faults=FaultReport(envs, guard),
