@@ -19,7 +19,10 @@ torch.set_num_threads(1)
 SceneOf = Callable[..., Scene]
 
 
-SHARED = ("test_parity", "test_task_rewards", "test_task_starts", "test_tasks")
+SHARED = (
+    *("test_parity", "test_task_rewards", "test_task_starts"),
+    *("test_tasks", "test_tastes", "test_visible_measures"),
+)
 """Files that use the scenes of all tasks: one process builds them once."""
 
 

@@ -215,6 +215,14 @@ def test_an_unknown_camera_is_named_with_those_that_exist(backend: str) -> None:
         make_batch("Lift", backend=backend, cameras=CameraConfig(("agentvew",)))
 
 
+def test_without_opengl_the_error_says_what_to_install(
+    lift_scene: Scene, monkeypatch
+) -> None:
+    monkeypatch.setattr(gl, "find_backend", lambda: None)
+    with pytest.raises(UserError, match=r"no OpenGL backend .* install EGL"):
+        make_batch("Lift", scene=lift_scene, cameras=SMALL)
+
+
 def test_a_users_environment_must_observe_the_cameras(lift_scene: Scene) -> None:
     with pytest.raises(UserError, match="does not observe agentview with 32 x 32"):
         make_batch("Lift", backend="stock", stock=lift_scene.stock, cameras=SMALL)

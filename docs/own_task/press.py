@@ -121,6 +121,11 @@ class Press(Task):
         """near: tool within 8 cm of the button; press: success."""
         return {"near": m["distance"] < 0.08, "press": self.success(m)}
 
+    def visible_measures(self, m: Measures) -> dict[str, Array]:
+        """The hand's; distance [N] m to the button's top, and its depth [N] m."""
+        button = {"distance": m["distance"], "depth": m["depth"]}
+        return {**super().visible_measures(m), **button}
+
     def expert(self, m: Measures) -> Array:
         """Move over the button, then down onto it with closed fingers."""
         action = np.zeros((len(m["distance"]), 7))

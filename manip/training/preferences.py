@@ -2,14 +2,20 @@
 
 import hashlib
 import json
+from collections.abc import Sequence
 
 from manip.agents.agent import Agent
 from manip.agents.registry import load_algorithm
 from manip.envs.adapters.torchrl import TaskEnv
+<<<<<<< HEAD
 from manip.envs.task_batch import TaskBatch
+=======
+from manip.envs.external_task import ExternalTask
+from manip.envs.task_registry import load_task
+>>>>>>> preflearn
 from manip.errors import UserError
 from manip.preferences.clip_pool import ClipPool
-from manip.preferences.clip_source import ClipSource
+from manip.preferences.clip_source import ClipSource, not_recordable
 from manip.preferences.label_folder import LabelFolder
 from manip.preferences.label_rounds import Labeller, Rounds
 from manip.preferences.labellers import TasteCriterion, make_labeller
@@ -45,6 +51,8 @@ def check_preferences(config: TrainConfig) -> None:
                 "with --preferences"
             )
         return
+    if isinstance(load_task(config.task), ExternalTask):
+        raise not_recordable(config.task)
     if getattr(config.agent, "reference", "") is None and algorithm.prefers:
         raise UserError(
             f"{config.algo} changes a policy that was trained before: name it with "
@@ -69,7 +77,8 @@ def with_preferences(config: TrainConfig, agent: Agent, env: TaskEnv) -> Agent:
         env: the run's training environments.
 
     Raises:
-        UserError: the task's states cannot be recorded, or there is no such taste.
+        UserError: the task's states cannot be recorded, there is no such taste, or the
+            folder holds answers to clips of other runs' tasks, arms or lengths.
     """
     if config.preferences is None:
         return agent
@@ -81,10 +90,11 @@ def with_preferences(config: TrainConfig, agent: Agent, env: TaskEnv) -> Agent:
         options=options,
         folder=LabelFolder(config.preferences, run_id(config)),
         source=source,
-        labeller=_labeller(config),
+        labeller=_labeller(config, batch.measure_names),
         model=_untrained(config, env),
         seed=config.seed,
     )
+    rounds.check()
     pool = ClipPool(example, options.clip_steps, capacity, source.nq)
     return PreferenceAgent(agent, pool, rounds)
 
@@ -109,11 +119,13 @@ def run_id(config: TrainConfig) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def _labeller(config: TrainConfig) -> Labeller | None:
+def _labeller(config: TrainConfig, measures: Sequence[str]) -> Labeller | None:
     options = config.labels
     if options.labeller == "people":
         return None
     taste = load_taste(config.task, options.taste) if options.taste else None
+    if taste:
+        taste.check(measures)
     criterion = TasteCriterion(taste)
     return make_labeller(options.labeller, criterion, options.seed, options.mistakes)
 
