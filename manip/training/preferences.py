@@ -7,12 +7,9 @@ from collections.abc import Sequence
 from manip.agents.agent import Agent
 from manip.agents.registry import load_algorithm
 from manip.envs.adapters.torchrl import TaskEnv
-<<<<<<< HEAD
-from manip.envs.task_batch import TaskBatch
-=======
 from manip.envs.external_task import ExternalTask
+from manip.envs.task_batch import TaskBatch
 from manip.envs.task_registry import load_task
->>>>>>> preflearn
 from manip.errors import UserError
 from manip.preferences.clip_pool import ClipPool
 from manip.preferences.clip_source import ClipSource, not_recordable
