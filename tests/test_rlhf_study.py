@@ -127,16 +127,17 @@ def test_each_part_has_a_figure(part: Part, seeds: int, tmp_path: Path) -> None:
     assert (tmp_path / "figure.png").stat().st_size > 10_000
 
 
-def test_gain_is_relative_to_the_known_taste_of_the_same_seed() -> None:
-    """Seed 0: 0.2 to 0.6, seed 1: 0.1 to 0.2; a run in the middle gains a half."""
-    utilities = {0: (0.2, 0.6, 0.4), 1: (0.1, 0.2, 0.15)}
+def test_gain_is_relative_to_the_known_taste() -> None:
+    """References 0.2 and 0.1, the known taste 0.6 and 0.3: 0.3 is a half of the way."""
+    utilities = {REFERENCE: (0.2, 0.1), TRUE: (0.6, 0.3)}
     rows = [
         replace(row(variant, seed), utility=utility)
-        for seed, values in utilities.items()
-        for variant, utility in zip((REFERENCE, TRUE, FULL), values, strict=True)
+        for variant, values in utilities.items()
+        for seed, utility in enumerate(values)
     ]
-    shares = [gain(rows)(each) for each in rows]
-    assert shares == pytest.approx(2 * [0.0, 100.0, 50.0])
+    assert gain(0.3, rows) == pytest.approx(50.0)
+    assert gain(0.15, rows) == pytest.approx(0.0)
+    assert isnan(gain(0.3, rows[:2]))
 
 
 def tiny(variant: Variant, steps: int, stages: int) -> Variant:

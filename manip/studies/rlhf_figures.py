@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import nan, sqrt
+from math import isnan, nan, sqrt
 from pathlib import Path
 from statistics import fmean
 
@@ -16,6 +16,7 @@ from manip.studies.bootstrap import Interval
 from manip.studies.plotting import save
 from manip.studies.rlhf import PreferenceRow
 from manip.studies.rlhf_variants import (
+    BETA,
     BETAS,
     COUNTS,
     FEW,
@@ -44,18 +45,17 @@ class Panel:
     Attributes:
         title: of the panel, with the unit.
         value: of a row.
+        text: what is written beside the values of a variant, given all rows.
     """
 
     title: str
     value: Value
+    text: Callable[[Sequence[float], Rows], str]
 
 
-PANELS = (
-    Panel("success held [%]", lambda row: 100 * row.success_held),
-    Panel("penalty of the taste per step", lambda row: row.penalty),
-    Panel("utility per step", lambda row: row.utility),
-)
-"""What the figures of bars show: utility is task reward minus weighted penalty."""
+def _utility(row: PreferenceRow) -> float:
+    return row.utility
+
 
 MOST_PERCENT = 102.0
 """End of the axis of success; intervals may reach beyond 100 %."""
@@ -63,9 +63,7 @@ MOST_PERCENT = 102.0
 METHODS = {
     REFERENCE: "reference (no labels)",
     "clone winners, first": "clone winners",
-    "clone winners": "clone winners, in rounds",
     "dpo, first": "DPO",
-    "dpo": "DPO, in rounds",
     "clone episodes": "clone best fresh episodes, in rounds",
     f"{FULL}, first": "PPO + KL",
     FULL: "PPO + KL, in rounds",
@@ -75,8 +73,8 @@ METHODS = {
 
 INPUTS = {
     REFERENCE: "reference (no labels)",
-    raw_name(): "model sees observation, action",
-    labels_name(OUTSIDE, True): "model sees named measures",
+    raw_name(): f"{OUTSIDE} labels; observation, action",
+    FULL: f"{LABELS} labels; named measures",
     TRUE: "taste known as a formula",
 }
 
@@ -95,7 +93,7 @@ def draw_methods(rows: Rows, path: Path) -> None:
 
 def draw_inputs(rows: Rows, path: Path) -> None:
     """Draw what a reward model gains that has no named measures."""
-    _bars(rows, INPUTS, f"PPO + KL, {OUTSIDE} labels in rounds", path)
+    _bars(rows, INPUTS, "PPO + KL, labels in rounds, by inputs of the model", path)
 
 
 def draw_labellers(rows: Rows, path: Path) -> None:
@@ -104,19 +102,20 @@ def draw_labellers(rows: Rows, path: Path) -> None:
 
 
 def _bars(rows: Rows, labels: Mapping[str, str], title: str, path: Path) -> None:
-    """Draw a line for each variant: its mean, interval and seeds, in four panels."""
+    """Draw a line for each variant: its mean, interval and seeds, in three panels."""
     shown = {name: label for name, label in labels.items() if last(rows, name)}
-    quantities = [*PANELS, Panel("share of the known taste's gain [%]", gain(rows))]
     figure, panels = plt.subplots(
         1,
-        len(quantities),
-        figsize=(13, 1.3 + 0.36 * len(shown)),
+        len(PANELS),
+        figsize=(11.5, 1.3 + 0.36 * len(shown)),
         layout="constrained",
         sharey=True,
     )
-    for axes, panel in zip(panels, quantities, strict=True):
+    for axes, panel in zip(panels, PANELS, strict=True):
         for place, name in enumerate(shown):
-            _bar(axes, place, [panel.value(row) for row in last(rows, name)])
+            values = [panel.value(row) for row in last(rows, name)]
+            text = panel.text(values, rows)
+            _bar(axes, place, values, text)
         axes.set_title(panel.title, fontsize="medium")
         axes.grid(axis="x", alpha=0.3)
     panels[0].set_xlim(right=min(panels[0].get_xlim()[1], MOST_PERCENT))
@@ -136,30 +135,46 @@ def _write(figure: Figure, path: Path) -> None:
     plt.close(figure)
 
 
-def gain(rows: Rows) -> Value:
-    """What a run gains in utility over its reference, in percent of what the run with
-    the known taste gains over the same reference.
+def gain(utility: float, rows: Rows) -> float:
+    """Gain of a mean utility over that of the references, in percent of what the runs
+    gain that have the taste as their reward; nan if these are not among the rows.
     """
-    reference = {row.seed: row.utility for row in last(rows, REFERENCE)}
-    true = {row.seed: row.utility for row in last(rows, TRUE)}
-
-    def share(row: PreferenceRow) -> float:
-        start, end = reference[row.seed], true[row.seed]
-        return 100 * (row.utility - start) / (end - start)
-
-    return share
+    if not last(rows, TRUE):
+        return nan
+    start, end = (fmean(map(_utility, last(rows, n))) for n in (REFERENCE, TRUE))
+    return 100 * (utility - start) / (end - start)
 
 
-def _bar(axes: Axes, place: int, values: Sequence[float]) -> None:
+def _with_gain(values: Sequence[float], rows: Rows) -> str:
+    utility = fmean(values)
+    share = gain(utility, rows)
+    return f"{utility:.2f}" + ("" if isnan(share) else f" ({share:.0f} %)")
+
+
+def _percent(values: Sequence[float], _: Rows) -> str:
+    return f"{fmean(values):.0f}"
+
+
+def _plain(values: Sequence[float], _: Rows) -> str:
+    return f"{fmean(values):.2f}"
+
+
+PANELS = (
+    Panel("success held [%]", lambda row: 100 * row.success_held, _percent),
+    Panel("penalty of the taste per step", lambda row: row.penalty, _plain),
+    Panel("utility per step (gain, % of the known taste)", _utility, _with_gain),
+)
+"""What the figures of bars show: utility is task reward minus weighted penalty."""
+
+
+def _bar(axes: Axes, place: int, values: Sequence[float], text: str) -> None:
     interval, color = seed_interval(values), f"C{place % 10}"
     ends = [interval.low, interval.high]
     axes.plot(ends, [place] * 2, lw=7, alpha=0.3, color=color, solid_capstyle="butt")
     axes.plot(interval.value, place, "|", ms=14, mew=2, color=color)
     axes.plot(values, [place] * len(values), "o", ms=3, color=color)
-    large = max(map(abs, values)) > 2
-    text = f"{interval.value:.0f}" if large else f"{interval.value:.2f}"
-    place_of_text = (interval.value, place - 0.22)
-    axes.annotate(text, place_of_text, fontsize="x-small", ha="center", va="bottom")
+    above = (interval.value, place - 0.22)
+    axes.annotate(text, above, fontsize="x-small", ha="center", va="bottom")
 
 
 def draw_overoptimisation(rows: Rows, path: Path) -> None:
@@ -167,7 +182,7 @@ def draw_overoptimisation(rows: Rows, path: Path) -> None:
     figure, panels = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
     start = [row for row in rows if row.variant == REFERENCE]
     curves = {few_name(beta): f"{FEW} labels, raw, beta {beta:g}" for beta in BETAS}
-    curves[f"{FULL}, beta 0"] = f"{LABELS} labels in rounds, named, beta 0"
+    curves[FULL] = f"{LABELS} labels in rounds, named measures, beta {BETA:g}"
     for index, (name, label) in enumerate(curves.items()):
         curve = [row for row in rows if row.variant == name]
         style = "o-" if index < len(BETAS) else "s--"
@@ -186,10 +201,6 @@ def draw_overoptimisation(rows: Rows, path: Path) -> None:
 
 def _learned(row: PreferenceRow) -> float:
     return nan if row.learned is None else row.learned
-
-
-def _utility(row: PreferenceRow) -> float:
-    return row.utility
 
 
 def _curve(
