@@ -11,7 +11,7 @@ from toy import QUICK_A2C, SPACES, Points, make_agent, mean_return
 from manip.agents.a2c import A2C
 from manip.agents.a3c import A3C, A3CConfig
 from manip.rewards.reward_function import EnvironmentReward
-from manip.training.collector import Collector
+from manip.training.collector import Collector, Order, Rollout
 
 QUICK = A3CConfig(
     learning_rate=1e-2,
@@ -28,11 +28,16 @@ def points(workers: int) -> list[Points]:
     return [Points([20] * size, seed=worker) for worker in range(workers)]
 
 
+def collector_of(envs: list[Points], agent: A2C, order: Order) -> Collector:
+    sources = [Rollout(env) for env in envs]
+    return Collector(sources, agent, False, EnvironmentReward(), order)
+
+
 def run(agent: A2C, workers: int, steps: int, asynchronous: bool = False) -> A2C:
     """After so many control steps of 16 points, shared by the workers."""
     torch.manual_seed(5)
     envs = points(workers)
-    collector = Collector(envs, agent, False, EnvironmentReward(), asynchronous)
+    collector = collector_of(envs, agent, "first" if asynchronous else "turns")
     for _ in range(steps // (envs[0].batch_size[0] * agent.rollout_length)):
         agent.update(collector.next().batch)
     return agent
@@ -101,7 +106,7 @@ class Blocked(Points):
 def test_a_slow_worker_delays_no_other() -> None:
     agent = make_agent(QUICK, seed=0)
     envs = [Blocked([20] * 5), *(Points([20] * 5, seed=i) for i in (1, 2))]
-    collector = Collector(envs, agent, False, EnvironmentReward(), asynchronous=True)
+    collector = collector_of(envs, agent, "first")
     for _ in range(6):
         agent.update(collector.next().batch)
     assert not Blocked.released.is_set()
@@ -114,7 +119,7 @@ def test_rollouts_under_way_are_in_the_order_of_their_workers() -> None:
     """A run is resumed with this order, of which the first is missing."""
     envs = [Points([20] * size) for size in (1, 2, 3)]
     agent = make_agent(QUICK_A2C, seed=0)
-    collector = Collector(envs, agent, False, EnvironmentReward(), asynchronous=True)
+    collector = collector_of(envs, agent, "first")
     for _ in range(12):
         taken = collector.next().batch
         under_way = [job.result().batch for job in collector._pending]

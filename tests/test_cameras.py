@@ -215,6 +215,14 @@ def test_an_unknown_camera_is_named_with_those_that_exist(backend: str) -> None:
         make_batch("Lift", backend=backend, cameras=CameraConfig(("agentvew",)))
 
 
+def test_without_opengl_the_error_says_what_to_install(
+    lift_scene: Scene, monkeypatch
+) -> None:
+    monkeypatch.setattr(gl, "find_backend", lambda: None)
+    with pytest.raises(UserError, match=r"no OpenGL backend .* install EGL"):
+        make_batch("Lift", scene=lift_scene, cameras=SMALL)
+
+
 def test_a_users_environment_must_observe_the_cameras(lift_scene: Scene) -> None:
     with pytest.raises(UserError, match="does not observe agentview with 32 x 32"):
         make_batch("Lift", backend="stock", stock=lift_scene.stock, cameras=SMALL)
@@ -309,6 +317,7 @@ def assert_ends_in_silence(task: str, options: list[dict]) -> None:
     assert done.stdout.split() == ["True"] * len(options)
 
 
+@pytest.mark.slow
 def test_open_renderers_end_without_a_word() -> None:
     assert_ends_in_silence("Lift", [{}, {"backend": "stock"}])
 
@@ -331,6 +340,7 @@ def looking(scene: Scene, looks: float | str, num_envs: int = 3) -> TaskBatch:
     return batch
 
 
+@pytest.mark.slow
 def test_looks_change_pictures_and_nothing_else(lift_scene: Scene) -> None:
     plain, varied = looking(lift_scene, 0.0), looking(lift_scene, 1.0)
     for seed in range(2):

@@ -18,6 +18,8 @@ from label_program import (
 
 from manip.errors import UserError
 from manip.preferences.comparisons import COMPARISONS, valid_comparisons
+from manip.preferences.page.clip_drawing import ClipDrawing
+from manip.preferences.page.page_input import LONGEST
 from manip.preferences.page.page_server import listen
 
 VIDEO = b"a video"
@@ -198,3 +200,18 @@ def test_another_port_where_the_usual_one_is_in_use() -> None:
     with listen(None) as first, listen(None) as second:
         assert first.getsockname() != second.getsockname()
         assert second.getsockname()[0] == "127.0.0.1"
+
+
+def test_videos_are_not_written_through_a_link(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "videos").symlink_to(tmp_path / "elsewhere")
+    drawing = ClipDrawing(tmp_path, "frontview")
+    with pytest.raises(UserError, match="is a link"):
+        drawing.draw("a" * 24, drawing.videos / "clip.mp4")
+
+
+def test_a_time_of_many_digits_is_cut(page: Address, folder: Path) -> None:
+    body = page.view("Max")["pair"] | {"labeller": "Max", "answer": "skip"}
+    status, _, _ = page.request("/api/answer", body | {"seconds": 10**400})
+    assert status == 200
+    assert valid_comparisons(folder)[-1].seconds == LONGEST

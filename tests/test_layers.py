@@ -41,7 +41,7 @@ HOME = {
     "envpool": ("manip/benchmarks",),
     "dm_env": ("manip/envs/adapters/dm_env.py",),
     "gymnasium": ("manip/envs/adapters", "manip/benchmarks"),
-    "ray": ("manip/cluster/ray_executor.py", "manip/cluster/ray_task.py"),
+    "ray": ("manip/cluster/ray_cluster.py", "manip/cluster/ray_task.py"),
     "stable_baselines3": ("manip/envs/adapters/sb3.py", "manip/benchmarks"),
 }
 """Library -> the only places that import it."""

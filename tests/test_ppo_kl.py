@@ -140,3 +140,22 @@ def test_a_reference_of_another_arm_or_task_is_refused(
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_learns_to_go_to_the_goal(seed: int) -> None:
     assert mean_return(train(QUICK_PPO_KL, seed, steps=3200)) > 15.5
+
+
+def test_beta_waits_until_the_actor_learns() -> None:
+    """An actor that does not move would halve beta in every rollout."""
+    agent = agent_of(replace(QUICK_PPO_KL, critic_rollouts=2, beta=4.0))
+    betas = [agent.update(rollout_of(agent)).get("beta") for _ in range(3)]
+    assert betas[:2] == [None, None]
+    assert betas[2] is not None
+
+
+def test_with_a_reference_an_update_ends_when_it_has_gone_too_far(tmp_path) -> None:
+    reference = save_policy(agent_of(seed=1), tmp_path)
+    config = replace(QUICK_PPO_KL, reference=reference, epochs=20, target_kl=1e-6)
+    steps = []
+    for near in (config, replace(config, target_kl=None)):
+        agent = agent_of(near)
+        agent.update(rollout_of(agent))
+        steps.append(next(iter(agent._optim.state.values()))["step"].item())
+    assert steps[0] == steps[1] / 20

@@ -28,6 +28,7 @@ from manip.training.trainer import Trainer
 
 AGENTS = {
     "bc": {"rollout_length": 8, "batch_size": 32, "buffer_size": 160},
+    "gaussian-bc": {"rollout_length": 8, "batch_size": 32, "buffer_size": 160},
     "reinforce": {"critic_hidden": [16], "rollout_length": 16},
     "a2c": {"critic_hidden": [16], "rollout_length": 8},
     "a3c": {"critic_hidden": [16], "rollout_length": 8, "workers": 2},
@@ -78,7 +79,7 @@ by_algorithm = pytest.mark.parametrize(
 
 def tiny(algo: str, out: Path, **changes: Any) -> TrainConfig:
     hidden = "critic_hidden" if algo == "dqn" else "actor_hidden"
-    agent = {hidden: [16]} | AGENTS[algo]
+    agent = {hidden: [16]} | AGENTS.get(algo, {})
     options = {
         "task": "Reach",
         "algo": algo,

@@ -98,7 +98,16 @@ class PPOKL(OnPolicy):
         for _ in range(self.config.epochs):
             for piece in minibatches(samples, self.config.minibatches):
                 logged |= self._improve(piece)
+            if self._reference is not None and self._is_far(samples):
+                break
         return logged | self._adapt(samples)
+
+    @torch.no_grad()
+    def _is_far(self, samples: TensorDictBase) -> bool:
+        """Whether the update has gone beyond 1.5 d: with a reference it ends there."""
+        target = self.config.target_kl
+        kl = self._loss(samples)["kl"].mean().item()
+        return target is not None and kl > 1.5 * target
 
     def _update_norm(self, observation: Tensor) -> None:
         """See `OnPolicy`; nothing where there is a reference."""
@@ -122,7 +131,9 @@ class PPOKL(OnPolicy):
 
     @torch.no_grad()
     def _adapt(self, samples: TensorDictBase) -> dict[str, float]:
-        """Adapt beta to the KL divergence of the whole update."""
+        """Adapt beta to the KL divergence of the whole update, if the actor learns."""
+        if self._critic_alone:
+            return {}
         kl, target = self._loss(samples)["kl"].mean().item(), self.config.target_kl
         if target is not None and kl > 1.5 * target:
             self._loss.beta.mul_(2)

@@ -6,11 +6,13 @@ episode ended there; the step after an end is the first one of the next episode.
 
 | key | shape | what |
 |---|---|---|
-| observation | [N, T, D] float32 | what the policy saw |
+| observation | [N, T, D] float32 | joined parts of the state |
+| <camera>_image | [N, T, H, W, C] uint8 | a key for each camera, if there are any |
 | action | [N, T, A] float32 | what it did, in [-1, 1] before clipping |
 | action_log_prob | [N, T] float32 | log pi(a, s), from on-policy algorithms |
-| expert_action | [N, T, A] float32 | the expert's, if the agent imitates |
+| expert_action | [N, T, A] float32 | expert's or teacher's, if the agent imitates |
 | next, observation | [N, T, D] float32 | the true successor, also at an end |
+| next, <camera>_image | as above | of the successor |
 | next, reward | [N, T, 1] float32 | reward of the step |
 | next, reward_terms | [N, T, K] float32 | the task's raw reward terms |
 | next, measures | [N, T, M] float32 | the task's visible measures, if requested |

@@ -1,6 +1,5 @@
 """Run jobs as tasks of a Ray cluster, which starts them again if their node dies."""
 
-import logging
 from collections.abc import Sequence
 from pathlib import Path
 from secrets import token_hex
@@ -9,8 +8,9 @@ from typing import Any
 
 from manip.cluster.job import Job, Outcome, Watch
 from manip.cluster.local_worker import append_lines, log_of
+from manip.cluster.ray_cluster import connected
 from manip.cluster.ray_head import Head, Setup
-from manip.errors import UserError, one_line
+from manip.errors import one_line
 from manip.versions import versions
 
 POLL = 0.5
@@ -38,7 +38,7 @@ class RayExecutor:
     """
 
     def __init__(self, address: str, folder: Path, logs: Path | None = None) -> None:
-        self._ray = _connected(address)
+        self._ray = connected(address)
         self._folder, self._logs = folder, logs
 
     def __call__(self, jobs: Sequence[Job], watch: Watch, stop: Event) -> None:
@@ -107,27 +107,3 @@ class RayExecutor:
         except self._ray.exceptions.RayError as error:
             return Outcome("failed", error=f"Ray: {one_line(error)}")
         return outcome
-
-
-def _connected(address: str) -> Any:
-    try:
-        import ray  # an optional extra
-        import ray.util.scheduling_strategies
-    except ImportError as error:
-        raise UserError(
-            "--ray needs the package ray: pip install ray (the extra `cluster`), on "
-            "every machine of the cluster; or leave the option out"
-        ) from error
-    try:
-        ray.init(
-            address=address,
-            log_to_driver=False,
-            logging_level=logging.ERROR,
-            configure_logging=False,
-        )
-    except (ConnectionError, OSError, RuntimeError, ValueError) as error:
-        raise UserError(
-            f"there is no Ray cluster at {address} ({one_line(error)}): start one with "
-            "`ray start --head`, or name its address as host:port"
-        ) from error
-    return ray

@@ -62,9 +62,13 @@ class LabelFolder:
         clips = pair.left, pair.right
         append_comparison(self.folder, labeller, clips, answer, number=pair.round)
 
+    def present(self) -> list[Comparison]:
+        """All answers, also those that other runs asked for."""
+        return valid_comparisons(self.folder)
+
     def count(self) -> int:
-        """Number of answers, also those that other runs asked for."""
-        return len(valid_comparisons(self.folder))
+        """Number of `present` answers."""
+        return len(self.present())
 
     def answers(self, number: int) -> list[Comparison]:
         """The answers from which a round learns: all, the first time it is called."""

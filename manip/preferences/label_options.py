@@ -51,7 +51,7 @@ class LabelOptions:
     members: Annotated[int, Range(1, 100)] = 3
     """Networks in the reward model's ensemble."""
     scale: Literal["standard", "unit"] = "standard"
-    """Scale of the learned reward. standard: mean 0 and standard deviation 1 over the
+    """Scale of the learned reward. standard: mean 0 and standard deviation 0.1 over the
     clips of the first round; unit: from 0 to 1."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of a simulated labeller."""

@@ -48,6 +48,15 @@ class Rounds:
     def __post_init__(self) -> None:
         self._reader = ClipReader(self.folder.folder, self.model.card)
 
+    def check(self) -> None:
+        """Read the clips of the answers that the folder holds already.
+
+        Raises:
+            UserError: one is of another task, arm, length or other measures.
+            DamagedError: a file of the folder is damaged.
+        """
+        self._reader.read(self.folder.present())
+
     def due(self, number: int, steps: int) -> bool:
         """Whether it is time for round `number`, after `steps` control steps."""
         options = self.options

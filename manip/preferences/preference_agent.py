@@ -53,10 +53,9 @@ class PreferenceAgent(Agent):
             self._agent.store(batch)
             return {}
         batch["next", "reward"] = reward = self._rounds.model(batch)
-        learned = self._agent.update(batch)
-        learned |= self._news | {"learned_reward": reward.mean().item()}
+        news = self._news | {"learned_reward": reward.mean().item()}
         self._news = {}
-        return learned
+        return self._agent.update(batch) | news
 
     def waiting(self) -> str:
         """Have clips compared and learn a new reward, if it is time.

@@ -34,6 +34,12 @@ class ClipReader:
         self._folder, self._card = folder, card
         self._steps: dict[str, dict[Inputs, Tensor]] = {}
 
+    def read(self, answers: Sequence[Comparison]) -> None:
+        """Read the clips of answers, as `compared` does; there may be none."""
+        for answer in answers:
+            self._clip(answer.left)
+            self._clip(answer.right)
+
     def compared(self, answers: Sequence[Comparison], inputs: Inputs) -> ComparedClips:
         """The clips of all answers that were not skipped.
 

@@ -18,6 +18,10 @@ from torch import Tensor, nn
 
 from manip.agents.networks import check_widths
 
+STANDARD = 0.1
+"""Standard deviation of standardised rewards: returns with gamma = 0.97 are then of
+order one, which a new critic learns in its first rollouts."""
+
 
 class RewardNetwork(nn.Module):
     """Members of equal shape; their parameters are stacked along the first dimension.
@@ -80,10 +84,10 @@ class RewardNetwork(nn.Module):
 
     @torch.no_grad()
     def standardise(self, inputs: Tensor) -> None:
-        """Pay rewards of mean 0 and standard deviation 1 over inputs [..., F]."""
+        """Pay rewards of mean 0 and deviation STANDARD over inputs [..., F]."""
         rewards = self.rewards(inputs).mean(0)
         self.offset.copy_(rewards.mean())
-        self.scale.copy_(rewards.std(correction=0).clamp_min(1e-3))
+        self.scale.copy_(rewards.std(correction=0).clamp_min(1e-3) / STANDARD)
 
     @torch.no_grad()
     def normalise_by(self, inputs: Tensor) -> None:

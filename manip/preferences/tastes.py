@@ -80,6 +80,11 @@ class Taste:
         """Names of the measures that it depends on."""
         return {name for term in self.terms for name in (term.measure, *term.during)}
 
+    def check(self, names: Sequence[str]) -> None:
+        """Raise `UserError` unless all its measures are among these names."""
+        for name in sorted(self.measures):
+            check_choice("measure", name, names)
+
     def penalties(self, measures: Array, names: Sequence[str]) -> Array:
         """[...] >= 0: the penalty of each step.
 
@@ -90,8 +95,7 @@ class Taste:
         Raises:
             UserError: one of its measures is missing.
         """
-        for name in sorted(self.measures):
-            check_choice("measure", name, names)
+        self.check(names)
         named = {name: measures[..., i] for i, name in enumerate(names)}
         return np.sum([term.penalties(named) for term in self.terms], axis=0)
 

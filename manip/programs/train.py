@@ -18,7 +18,7 @@ from manip.programs import cli
 from manip.robot_config import CONTROLLERS, ROBOTS
 from manip.training.config import TrainConfig, recorded
 from manip.training.initial_policy import observation_of, starting_from
-from manip.training.recipes import recipe, scales_other_actions
+from manip.training.recipes import recipe, scales_other_actions, with_labels
 from manip.training.run import train
 from manip.training.terminal import TerminalProgress
 
@@ -45,6 +45,7 @@ class _Start:
     out: Path | None = None
     resume: bool = False
     init: str | None = None
+    preferences: Path | None = None
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -118,6 +119,8 @@ def _defaults(arguments: Sequence[str]) -> TrainConfig:
     observe: Observe = "cameras" if start.observe == "cameras" else initial
     chosen = start.task, start.algo, start.robot, start.controller
     config = recipe(*chosen, observe)
+    if start.preferences is not None:
+        config = with_labels(config, start.preferences)
     return config if start.init is None else starting_from(config, start.init)
 
 

@@ -102,12 +102,12 @@ class SceneCanvas:
 
 def _show_as_stock(model: mujoco.MjModel, stock: Any, size: int) -> None:
     """Hide the sites that robosuite hides, and make room for the pictures."""
-    model.site_rgba[:] = hidden_site_colours(stock)
+    model.site_rgba[:] = _hidden_site_colours(stock)
     screen = model.vis.global_
     screen.offwidth = screen.offheight = size
 
 
-def hidden_site_colours(stock: Any) -> Array:
+def _hidden_site_colours(stock: Any) -> Array:
     """[nsite, 4]: the sites' colours after a reset, which hides the robot's marks."""
     colours = stock.sim.model._model.site_rgba
     before = colours.copy()

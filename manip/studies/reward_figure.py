@@ -47,11 +47,21 @@ def draw_reward(report: RewardReport, path: Path) -> None:
 
 
 def _draw(panel: Axes, values: np.ndarray, reward: np.ndarray) -> None:
-    order = np.argsort(values, kind="stable")
-    groups = [g for g in np.array_split(order, BINS) if len(g)]
-    middle = [np.median(values[group]) for group in groups]
+    middle, groups = _groups(values)
     quartiles = np.array([np.quantile(reward[g], (0.25, 0.5, 0.75)) for g in groups])
     panel.fill_between(
         middle, quartiles[:, 0], quartiles[:, 2], alpha=0.3, label="half of the steps"
     )
     panel.plot(middle, quartiles[:, 1], marker=".", label="median")
+
+
+def _groups(values: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Medians of groups of values, ascending, and the rows of each; one group for all
+    that have the same median.
+    """
+    parts = np.array_split(np.argsort(values, kind="stable"), BINS)
+    parts = [part for part in parts if len(part)]
+    medians = np.array([np.median(values[part]) for part in parts])
+    middle = np.unique(medians)
+    chosen = [np.flatnonzero(medians == value) for value in middle]
+    return middle, [np.concatenate([parts[i] for i in rows]) for rows in chosen]

@@ -19,6 +19,7 @@ from manip.envs.make_batch import make_batch
 from manip.envs.task_batch import TaskBatch
 from manip.errors import UserError
 from manip.training.config import SCALE, TrainConfig
+from manip.training.groups import groups_of
 from manip.training.inputs import cameras_of, spaces_of
 from manip.training.reward_weights import parse_weights
 from manip.training.teacher import check_teacher, expert_of, with_reference
@@ -26,21 +27,16 @@ from manip.versions import versions
 
 
 def training_envs(config: TrainConfig) -> list[TaskEnv]:
-    """Build the environments that a run learns from, a group for each worker.
+    """Build the environments that a run learns from, in their groups.
 
     Raises:
         UserError: there is no expert or teacher for the run; num_envs does not split
-            evenly over the workers; a rollout does not fit the replay buffer.
+            evenly over the groups; a rollout does not fit the replay buffer.
     """
     check_teacher(config)
-    workers = config.agent.workers
-    if config.num_envs % workers:
-        raise UserError(
-            f"num_envs {config.num_envs} does not split evenly over {workers} workers: "
-            f"choose a multiple of {workers}"
-        )
+    groups = groups_of(config)
     _check_buffer(config)
-    return [_training_env(config, worker, workers) for worker in range(workers)]
+    return [training_env(config, group, groups) for group in range(groups)]
 
 
 def _check_buffer(config: TrainConfig) -> None:
@@ -54,25 +50,27 @@ def _check_buffer(config: TrainConfig) -> None:
         )
 
 
-def _training_env(config: TrainConfig, worker: int, workers: int) -> TaskEnv:
-    num_envs = config.num_envs // workers
+def training_env(config: TrainConfig, group: int, groups: int) -> TaskEnv:
+    """Build one of the equal groups of a run's environments."""
+    num_envs = config.num_envs // groups
     batch = _batch(
         config,
         num_envs,
         cameras=cameras_of(config, config.image_quality),
         looks=config.looks,
         fidelity=config.fidelity,
-        threads=max(1, share_threads(config)[0] // workers),
+        threads=max(1, share_threads(config)[0] // groups),
         horizon=config.horizon,
         reward=config.reward,
         reward_weights=parse_weights(config.reward_weights),
-        first_env=worker * num_envs,
+        first_env=group * num_envs,
         stagger=True,
         restart_fraction=config.restart_fraction,
     )
     batch.stop_at_faults = config.faults == "stop"
     clips = config.preferences is not None
-    return TaskEnv(batch, expert_of(config, batch), measures=clips, states=clips)
+    measures = clips or bool(config.taste)
+    return TaskEnv(batch, expert_of(config, batch), measures=measures, states=clips)
 
 
 def evaluation_env(config: TrainConfig) -> TaskEnv:

@@ -1,37 +1,46 @@
 """Collect experience; episodes continue from one rollout to the next."""
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, Literal, Protocol
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
 from manip.agents.agent import Agent
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.errors import UserError
-from manip.evaluation.episodes import Episode, EpisodeTracker
+from manip.evaluation.episodes import EpisodeTracker
 from manip.rewards.reward_function import RewardFunction
+from manip.training.experience import Experience, experience_of, joined, plain
 
 
-@dataclass(frozen=True)
-class Experience:
-    """A rollout as the agent learns from it.
+class RolloutSource(Protocol):
+    """Environments that a policy steps, here or in another process.
 
     Attributes:
-        batch: what `Agent.process_rollout` returned.
-        steps: control steps of the rollout, all environments together.
-        episodes: episodes that ended in it.
-        reward_terms: mean of each raw reward term over the rollout's steps.
+        messages: lines for people to read; the reader removes them.
     """
 
-    batch: TensorDictBase
-    steps: int
-    episodes: list[Episode]
-    reward_terms: list[float]
+    messages: deque[str]
+
+    def collect(self, policy: TensorDictModuleBase, length: int) -> Experience:
+        """Step all environments `length` times; the batch is [N, T]."""
+
+    def example(self, policy: TensorDictModuleBase, length: int) -> Experience:
+        """An experience of zeros with the keys, shapes and dtypes of `collect`'s."""
+
+    def save_state(self) -> dict[str, Any]:
+        """State of the environments ("env") and of the episodes under way ("tracker").
+
+        It is that after the latest `collect`.
+        """
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Restore what `save_state` returned."""
 
 
 class Rollout:
@@ -43,6 +52,7 @@ class Rollout:
 
     def __init__(self, env: TaskEnv) -> None:
         self._env = env
+        self.messages: deque[str] = deque()
         self.tracker = EpisodeTracker(env.batch_size[0])
         self.state = env.reset()
 
@@ -64,56 +74,77 @@ class Rollout:
         terms = [0.0] * batch["next", "reward_terms"].shape[-1]
         return Experience(batch, batch.numel(), [], terms)
 
-    def load(self, tracker: dict[str, Any]) -> None:
-        """Restore the episodes under way, after the environments were restored."""
-        self.tracker.load_state(tracker)
+    def save_state(self) -> dict[str, Any]:
+        """State of the environments, and of the episodes under way."""
+        env, tracker = self._env.batch.save_state(), self.tracker.save_state()
+        return {"env": env, "tracker": tracker}
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Restore what `save_state` returned.
+
+        Raises:
+            ValueError: the state is of other environments.
+        """
+        self._env.batch.load_state(state["env"])
+        self.tracker.load_state(state["tracker"])
         self.state = self._env.observe()
+
+
+Order = Literal["turns", "first", "together"]
+"""How rollouts of several sources are taken: in turns; the one that ends first first;
+or all at once, joined to one, collected with the same weights."""
 
 
 class Collector:
     """Collect rollouts for an agent, each with its policy at the time it starts.
 
-    Several environment batches are stepped side by side, and their rollouts taken in
-    turns. With `ahead`, the next rollout is collected while the agent learns from the
-    last one. In both cases a policy is a fixed number of updates old at any speed
-    of the threads, so that a run repeats bit for bit.
-
-    With `asynchronous`, the rollout that ends first is taken first, and the run does
-    not repeat.
+    With `ahead`, the next rollout is collected while the agent learns from the last
+    one. A policy is a fixed number of updates old at any speed of the threads, so that
+    a run repeats bit for bit, unless the order is "first".
 
     Args:
+        sources: groups of environments, stepped side by side.
+        agent: gives the policies.
+        ahead: collect while the agent learns.
         reward: computes the reward that the agent learns from, on the thread that
             collects.
+        order: in which the rollouts of the sources are taken.
     """
 
     def __init__(
         self,
-        envs: Sequence[TaskEnv],
+        sources: Sequence[RolloutSource],
         agent: Agent,
         ahead: bool,
         reward: RewardFunction,
-        asynchronous: bool = False,
+        order: Order = "turns",
     ) -> None:
-        self._envs, self._agent, self._ahead = envs, agent, ahead
-        self._asynchronous = asynchronous
-        self._reward = reward
-        self._rollouts = [Rollout(env) for env in envs]
-        self._pool = ThreadPoolExecutor(len(envs), "manip-collect")
+        self._sources, self._agent, self._ahead = sources, agent, ahead
+        self._order, self._reward = order, reward
+        self._under_way = 1 if order == "together" else len(sources)
+        threads = len(sources) + (order == "together")  # one joins those of the others
+        self._pool = ThreadPoolExecutor(threads, "manip-collect")
         self._pending: deque[Future[Experience]] = deque()
         self._turn = 0
 
     def next(self) -> Experience:
         """Wait for the next rollout and return it."""
         self._submit()
-        if self._asynchronous:
+        if self._order == "first":
             self._let_first_be_next()
         experience = self._pending.popleft().result()
         if self._ahead:
             self._submit()
         return experience
 
+    def messages(self) -> Iterator[str]:
+        """Lines about the sources, new since the last call."""
+        for source in self._sources:
+            while source.messages:
+                yield source.messages.popleft()
+
     def _let_first_be_next(self) -> None:
-        """Turn the order of the environment batches to one whose rollout has ended."""
+        """Turn the order of the sources to one whose rollout has ended."""
         wait(self._pending, return_when=FIRST_COMPLETED)
         place = next(i for i, job in enumerate(self._pending) if job.done())
         self._pending.rotate(-place)
@@ -125,21 +156,42 @@ class Collector:
 
     def example(self) -> Experience:
         """An experience of zeros with the keys, shapes and dtypes of `next`'s."""
-        policy = self._agent.policy()
-        experience = self._rollouts[0].example(policy, self._agent.rollout_length)
+        policy, length = self._agent.policy(), self._agent.rollout_length
+        sources = self._sources if self._order == "together" else self._sources[:1]
+        experience = joined([source.example(policy, length) for source in sources])
         batch = self._agent.process_rollout(policy, experience.batch)
         return replace(experience, batch=batch)
 
     def _submit(self) -> None:
-        """Start rollouts until every environment batch has one under way."""
-        while len(self._pending) < len(self._envs):
-            rollout = self._rollouts[self._turn % len(self._envs)]
-            job = self._pool.submit(self._collect, rollout, self._agent.policy())
-            self._pending.append(job)
+        """Start rollouts until as many as there may be are under way."""
+        while len(self._pending) < self._under_way:
+            self._pending.append(self._start())
             self._turn += 1
 
-    def _collect(self, rollout: Rollout, policy: TensorDictModuleBase) -> Experience:
-        experience = rollout.collect(policy, self._agent.rollout_length)
+    def _start(self) -> Future[Experience]:
+        if self._order == "together":
+            policies = [self._agent.policy() for _ in self._sources]
+            return self._pool.submit(self._collect_together, policies)
+        source = self._sources[self._turn % len(self._sources)]
+        return self._pool.submit(self._collect, source, self._agent.policy())
+
+    def _collect(
+        self, source: RolloutSource, policy: TensorDictModuleBase
+    ) -> Experience:
+        experience = source.collect(policy, self._agent.rollout_length)
+        return self._processed(policy, experience)
+
+    def _collect_together(self, policies: Sequence[TensorDictModuleBase]) -> Experience:
+        """Step all sources side by side, each with exploration noise of its own."""
+        jobs = [
+            self._pool.submit(source.collect, policy, self._agent.rollout_length)
+            for source, policy in zip(self._sources, policies, strict=True)
+        ]
+        return self._processed(policies[0], joined([job.result() for job in jobs]))
+
+    def _processed(
+        self, policy: TensorDictModuleBase, experience: Experience
+    ) -> Experience:
         _set_reward(experience.batch, self._reward)
         batch = self._agent.process_rollout(policy, experience.batch)
         return replace(experience, batch=batch)
@@ -147,9 +199,10 @@ class Collector:
     def save_state(self) -> dict[str, Any]:
         """Environments, episodes under way, and rollouts not yet learned from."""
         pending = [plain(job.result()) for job in self._pending]
+        states = [source.save_state() for source in self._sources]
         return {
-            "envs": [env.batch.save_state() for env in self._envs],
-            "trackers": [rollout.tracker.save_state() for rollout in self._rollouts],
+            "envs": [state["env"] for state in states],
+            "trackers": [state["tracker"] for state in states],
             "turn": self._turn,
             "pending": pending,
         }
@@ -161,16 +214,13 @@ class Collector:
             ValueError: the state is of other environments.
         """
         saved = zip(state["envs"], state["trackers"], strict=True)
-        for env, rollout, (batch, tracker) in zip(
-            self._envs, self._rollouts, saved, strict=True
-        ):
-            env.batch.load_state(batch)
-            rollout.load(tracker)
+        for source, (env, tracker) in zip(self._sources, saved, strict=True):
+            source.load_state({"env": env, "tracker": tracker})
         self._turn = state["turn"]
         self._pending.clear()
         for values in state["pending"]:
             self._pending.append(Future())
-            self._pending[-1].set_result(_from_dict(values))
+            self._pending[-1].set_result(experience_of(values))
 
 
 def _set_reward(batch: TensorDictBase, reward: RewardFunction) -> None:
@@ -192,20 +242,3 @@ def _set_reward(batch: TensorDictBase, reward: RewardFunction) -> None:
             "the reward function returned numbers that are not finite or not real"
         )
     batch["next", "reward"] = value.detach().to(expected.dtype)
-
-
-def plain(experience: Experience) -> dict[str, Any]:
-    """An experience as plain values and tensors."""
-    return {
-        "batch": experience.batch.to_dict(),
-        "dimensions": experience.batch.batch_dims,
-        "steps": experience.steps,
-        "episodes": [asdict(episode) for episode in experience.episodes],
-        "reward_terms": experience.reward_terms,
-    }
-
-
-def _from_dict(values: dict[str, Any]) -> Experience:
-    batch = TensorDict(values["batch"]).auto_batch_size_(values["dimensions"])
-    episodes = [Episode(**episode) for episode in values["episodes"]]
-    return Experience(batch, values["steps"], episodes, values["reward_terms"])

@@ -60,6 +60,9 @@ class TrainConfig:
     num_envs: Annotated[int, COUNT] = 32
     """Number of environments that are stepped in parallel. With more of them, policies
     are updated less often per control step."""
+    collectors: Annotated[int, COUNT] = 1
+    """Equal parts into which the environments are split, each stepped by a collector of
+    its own. The run depends on their number."""
     observe: Observe = "state"
     """Observation of the actor. state: all parts of the task's observation; cameras:
     camera images and proprioception, without the poses of objects."""
@@ -134,6 +137,9 @@ class TrainConfig:
     it asks for (see --labels), instead of from the task's reward."""
     labels: LabelOptions = field(default_factory=LabelOptions)
     """Options of a run with --preferences."""
+    taste: str = ""
+    """Taste whose weighted penalties are subtracted from the reward (see `manip list`):
+    what labellers of this taste want, as if it were known without labels."""
     agent: AgentConfig = field(default_factory=lambda: load_algorithm("sac").Config())
     """Options of the algorithm."""
 

@@ -2,13 +2,17 @@
 
 import hashlib
 import json
+from collections.abc import Sequence
 
 from manip.agents.agent import Agent
 from manip.agents.registry import load_algorithm
 from manip.envs.adapters.torchrl import TaskEnv
+from manip.envs.external_task import ExternalTask
+from manip.envs.task_batch import TaskBatch
+from manip.envs.task_registry import load_task
 from manip.errors import UserError
 from manip.preferences.clip_pool import ClipPool
-from manip.preferences.clip_source import ClipSource
+from manip.preferences.clip_source import ClipSource, not_recordable
 from manip.preferences.label_folder import LabelFolder
 from manip.preferences.label_rounds import Labeller, Rounds
 from manip.preferences.labellers import TasteCriterion, make_labeller
@@ -16,7 +20,9 @@ from manip.preferences.preference_agent import PreferenceAgent
 from manip.preferences.reward_learning import generator_of
 from manip.preferences.reward_model import RewardCard, RewardModel, input_names
 from manip.preferences.reward_network import RewardNetwork
+from manip.preferences.taste_reward import TasteReward
 from manip.preferences.tastes import load_taste
+from manip.rewards.reward_function import RewardFunction
 from manip.training.config import TrainConfig, lasting
 
 HIDDEN = [64, 64]
@@ -30,6 +36,11 @@ def check_preferences(config: TrainConfig) -> None:
         UserError: they do not.
     """
     algorithm = load_algorithm(config.algo)
+    if config.taste and config.preferences is not None:
+        raise UserError(
+            "--taste is paid as a reward, and --preferences learns one: leave one of "
+            "them out, or give the taste to the labeller with --labels.taste"
+        )
     if config.preferences is None:
         if algorithm.prefers:
             raise UserError(
@@ -37,6 +48,8 @@ def check_preferences(config: TrainConfig) -> None:
                 "with --preferences"
             )
         return
+    if isinstance(load_task(config.task), ExternalTask):
+        raise not_recordable(config.task)
     if getattr(config.agent, "reference", "") is None and algorithm.prefers:
         raise UserError(
             f"{config.algo} changes a policy that was trained before: name it with "
@@ -61,7 +74,8 @@ def with_preferences(config: TrainConfig, agent: Agent, env: TaskEnv) -> Agent:
         env: the run's training environments.
 
     Raises:
-        UserError: the task's states cannot be recorded, or there is no such taste.
+        UserError: the task's states cannot be recorded, there is no such taste, or the
+            folder holds answers to clips of other runs' tasks, arms or lengths.
     """
     if config.preferences is None:
         return agent
@@ -73,12 +87,27 @@ def with_preferences(config: TrainConfig, agent: Agent, env: TaskEnv) -> Agent:
         options=options,
         folder=LabelFolder(config.preferences, run_id(config)),
         source=source,
-        labeller=_labeller(config),
+        labeller=_labeller(config, batch.measure_names),
         model=_untrained(config, env),
         seed=config.seed,
     )
+    rounds.check()
     pool = ClipPool(example, options.clip_steps, capacity, source.nq)
     return PreferenceAgent(agent, pool, rounds)
+
+
+def with_taste(
+    config: TrainConfig, reward: RewardFunction, batch: TaskBatch
+) -> RewardFunction:
+    """The reward of a run: minus the penalties of its taste, if it has one.
+
+    Raises:
+        UserError: there is no such taste.
+    """
+    if not config.taste:
+        return reward
+    taste = load_taste(config.task, config.taste)
+    return TasteReward(reward, taste, batch.measure_names)
 
 
 def run_id(config: TrainConfig) -> str:
@@ -87,11 +116,13 @@ def run_id(config: TrainConfig) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def _labeller(config: TrainConfig) -> Labeller | None:
+def _labeller(config: TrainConfig, measures: Sequence[str]) -> Labeller | None:
     options = config.labels
     if options.labeller == "people":
         return None
     taste = load_taste(config.task, options.taste) if options.taste else None
+    if taste:
+        taste.check(measures)
     criterion = TasteCriterion(taste)
     return make_labeller(options.labeller, criterion, options.seed, options.mistakes)
 

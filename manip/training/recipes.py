@@ -1,5 +1,6 @@
 """Tuned options of runs, by task and algorithm: the files in assets/recipes."""
 
+from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -65,6 +66,17 @@ def recipe(
     chosen = {"robot": robot, "controller": controller}
     values |= {option: value for option, value in chosen.items() if value}
     return from_dict({"task": task, "algo": algo, "observe": observe} | values)
+
+
+def with_labels(config: TrainConfig, folder: Path) -> TrainConfig:
+    """Return the options of a run that learns from preferences in a folder.
+
+    Those of its algorithm in the recipe `preferences` replace the options given.
+    """
+    values = dict(_shipped("preferences").get(config.algo, {}))
+    labels = replace(config.labels, **values.pop("labels", {}))
+    agent = replace(config.agent, **values.pop("agent", {}))
+    return replace(config, preferences=folder, labels=labels, agent=agent, **values)
 
 
 def scales_other_actions(task: str, algo: str, controller: str | None) -> bool:

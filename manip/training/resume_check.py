@@ -9,8 +9,9 @@ from manip.agents.agent import Agent
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.training.agent_state import state_of, unfit
 from manip.training.build import build_agent
-from manip.training.collector import Collector, plain
+from manip.training.collector import Collector
 from manip.training.config import TrainConfig
+from manip.training.experience import plain
 from manip.training.run_state import episode_of
 from manip.training.state_check import (
     check_finite,

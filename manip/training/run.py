@@ -22,6 +22,7 @@ from manip.training.checkpoint import Checkpoints
 from manip.training.config import TrainConfig
 from manip.training.memory import memory_errors
 from manip.training.progress import Callback, ignore
+from manip.training.run_parts import Place, here
 from manip.training.trainer import Trainer
 
 
@@ -56,6 +57,7 @@ def train(
     callback: Callback | None = None,
     reward: RewardFunction | None = None,
     stop: threading.Event | None = None,
+    place: Place = here,
 ) -> RunResult:
     """Train a policy.
 
@@ -72,6 +74,8 @@ def train(
         reward: computes the reward that the agent learns from, for each rollout; the
             environment's reward by default. Called on the threads that collect.
         stop: set it to have the run save and end after its current update.
+        place: where the training environments are stepped, threads of this process
+            unless given. It does not change the run.
 
     Raises:
         UserError: an option does not fit, the folder holds another run or other files,
@@ -88,6 +92,7 @@ def train(
             callback or ignore,
             reward or EnvironmentReward(),
             stop or threading.Event(),
+            place,
         )
         with closing(trainer):
             finished = trainer.run()

@@ -1,6 +1,6 @@
 """The parts of a training run, built from its options."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from manip.agents.agent import Agent
@@ -9,7 +9,7 @@ from manip.envs.adapters.torchrl import TaskEnv
 from manip.rewards.reward_function import RewardFunction
 from manip.training.averages import TrainingAverages
 from manip.training.build import build_agent, overlaps, training_envs
-from manip.training.collector import Collector
+from manip.training.collector import Collector, Order, Rollout, RolloutSource
 from manip.training.config import TrainConfig
 from manip.training.evaluator import Evaluator
 from manip.training.fault_report import FaultReport
@@ -17,7 +17,11 @@ from manip.training.initial_policy import start_agent
 from manip.training.inputs import spaces_of
 from manip.training.memory import check_memory
 from manip.training.nan_guard import NanGuard
-from manip.training.preferences import check_preferences, with_preferences
+from manip.training.preferences import (
+    check_preferences,
+    with_preferences,
+    with_taste,
+)
 
 
 @dataclass(frozen=True)
@@ -44,14 +48,35 @@ class RunParts:
     faults: FaultReport
     notes: tuple[str, ...] = ()
 
+    def messages(self) -> Iterator[str]:
+        """Lines about faults and lost collectors, new since the last call."""
+        yield from self.faults.messages()
+        yield from self.collector.messages()
+
     @property
     def milestones(self) -> tuple[str, ...]:
         """Names of the task's milestones."""
         return tuple(self.evaluator.env.batch.task.milestone_names)
 
 
-def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
+Place = Callable[[TrainConfig, Sequence[TaskEnv]], Sequence[RolloutSource]]
+"""Makes the sources of rollouts for the groups of a run's environments."""
+
+
+def here(config: TrainConfig, envs: Sequence[TaskEnv]) -> list[Rollout]:
+    """Step the environments in threads of this process."""
+    return [Rollout(env) for env in envs]
+
+
+def build_parts(
+    config: TrainConfig, reward: RewardFunction, place: Place = here
+) -> RunParts:
     """Build the environments and the agent of a run.
+
+    Args:
+        config: options of the run.
+        reward: computes the reward that the agent learns from.
+        place: where the environments are stepped.
 
     Raises:
         UserError: an option does not fit, or there is not enough memory.
@@ -66,19 +91,26 @@ def build_parts(config: TrainConfig, reward: RewardFunction) -> RunParts:
     guard = NanGuard(agent.optimisers(), config.faults == "stop")
     milestones = evaluator.env.batch.task.milestone_names
     batch = envs[0].batch
+    reward = with_taste(config, reward, batch)
     weights = {name: batch.reward_weights[name] for name in batch.reward_names}
     return RunParts(
         envs=envs,
         agent=agent,
         evaluator=evaluator,
         collector=Collector(
-            envs, agent, overlaps(config), reward, config.agent.asynchronous
+            place(config, envs), agent, overlaps(config), reward, _order(config)
         ),
         guard=guard,
         averages=TrainingAverages(milestones, weights),
         faults=FaultReport(envs, guard),
         notes=tuple(notes),
     )
+
+
+def _order(config: TrainConfig) -> Order:
+    if config.agent.asynchronous:
+        return "first"
+    return "together" if config.collectors > 1 else "turns"
 
 
 def _gradient_notes(config: TrainConfig) -> Iterator[str]:

@@ -14,7 +14,7 @@ from manip.training.progress import Callback, Progress
 from manip.training.resume import checkpoint_of, resume
 from manip.training.run_folder import check_run_folder, prepare
 from manip.training.run_logs import RunLog, check_wandb
-from manip.training.run_parts import build_parts
+from manip.training.run_parts import Place, build_parts, here
 from manip.training.run_state import RunState
 
 
@@ -26,6 +26,7 @@ class Trainer:
         callback: called with a `Progress` after every rollout.
         reward: computes the reward that the agent learns from.
         stop: the run saves and ends soon after this event is set.
+        place: where the training environments are stepped.
 
     Raises:
         UserError: the folder cannot take the run, or an option does not fit.
@@ -45,11 +46,12 @@ class Trainer:
         callback: Callback,
         reward: RewardFunction,
         stop: threading.Event,
+        place: Place = here,
     ) -> None:
         check_run_folder(config)
         check_wandb(config.wandb)
         self.config, self.folder = config, config.folder
-        self.parts, self.state = build_parts(config, reward), RunState()
+        self.parts, self.state = build_parts(config, reward, place), RunState()
         self.checkpoints = Checkpoints(self.folder)
         self.stop = stop
         self._callback, self._interrupted = callback, False
@@ -103,7 +105,7 @@ class Trainer:
             self._advance()
             self.state.cpu_seconds += time.process_time() - used
             self.state.seconds = time.monotonic() - self._clock
-            self._report(*self.parts.faults.messages())
+            self._report(*self.parts.messages())
             if self.state.env_steps >= due:
                 self._save(best=self._evaluate())
             elif self._save_timer.due():
@@ -148,13 +150,13 @@ class Trainer:
     def _evaluate(self) -> bool:
         """Evaluate the policy, and save it if it is the best; return whether it is.
 
-        With preferences the latest is: evaluations know nothing of what is preferred.
+        With preferences or a taste the latest is: evaluations know nothing of these.
         """
         evaluation = self.parts.evaluator(self.parts.agent, self.state.env_steps)
         self._log_row(evaluation.row())
         self._report(evaluation.line(self.state.seconds))
         best = not self.state.best or evaluation.score > self.state.best
-        best |= self.config.preferences is not None
+        best |= self.config.preferences is not None or bool(self.config.taste)
         if best:
             self.state.best = evaluation.score
             evaluation.policy.save(self.folder / "policy")

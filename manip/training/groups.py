@@ -1,0 +1,36 @@
+"""Groups of a run's environments: those of an algorithm's workers, or of collectors."""
+
+from manip.agents.agent import Agent
+from manip.agents.registry import load_algorithm
+from manip.errors import UserError
+from manip.training.config import TrainConfig
+
+
+def groups_of(config: TrainConfig) -> int:
+    """The number of groups into which the environments are split evenly.
+
+    Raises:
+        UserError: they do not split, or the algorithm cannot have several collectors.
+    """
+    if config.collectors > 1:
+        _check_collectors(config)
+    groups = max(config.agent.workers, config.collectors)
+    if config.num_envs % groups:
+        kind = "collectors" if config.collectors > 1 else "workers"
+        raise UserError(
+            f"num_envs {config.num_envs} does not split evenly over {groups} {kind}: "
+            f"choose a multiple of {groups}"
+        )
+    return groups
+
+
+def _check_collectors(config: TrainConfig) -> None:
+    algorithm = load_algorithm(config.algo)
+    learns_elsewhere = algorithm.process_rollout is not Agent.process_rollout
+    if algorithm.imitates or learns_elsewhere or config.agent.workers > 1:
+        raise UserError(
+            f"--collectors has no use with {config.algo}, whose rollouts are not its "
+            "policy's alone: leave it out, or choose ppo, a2c, sac or td3"
+        )
+    if config.preferences is not None:
+        raise UserError("--collectors does not fit --preferences: leave one out")
