@@ -17,7 +17,7 @@ from manip.preferences.page.label_app import PageSettings, make_app
 from manip.preferences.page.label_session import LabelSession
 from manip.preferences.page.page_server import listen, make_page_server
 from manip.preferences.pair_queue import Pair, append_pairs
-from manip.sim.renderer import WORKSPACE
+from manip.sim.renderer import CLOSEUP
 
 QUESTION = "Which is <b>gentler</b>?"
 
@@ -28,7 +28,7 @@ def clip_id(number: int) -> str:
 
 def make_folder(folder: Path, pairs: int, video: bytes) -> Path:
     """A folder of preferences whose clips are drawn already, all with one video."""
-    videos = folder / VIDEOS / WORKSPACE
+    videos = folder / VIDEOS / CLOSEUP
     videos.mkdir(parents=True)
     for number in range(2 * pairs):
         (videos / f"{clip_id(number)}.mp4").write_bytes(video)
@@ -87,7 +87,7 @@ def refuse(clip: str, path: Path) -> None:
 def served_here(folder: Path, repeats: float = 0.1) -> Iterator[Address]:
     """Serve a folder's page from a thread."""
     session = LabelSession(folder, repeats)
-    videos = ClipVideos(folder / VIDEOS / WORKSPACE, refuse, session.clips_needed)
+    videos = ClipVideos(folder / VIDEOS / CLOSEUP, refuse, session.clips_needed)
     app = make_app(session, videos, PageSettings(QUESTION, None), "a-token")
     server = make_page_server(app, listen(None))
     thread = threading.Thread(target=server.serve_forever)

@@ -120,6 +120,14 @@ def test_env_compares_with_the_engine(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_collectors_are_compared_with_rollouts_of_this_process(tmp_path: Path) -> None:
+    values = figures(tmp_path, "collectors", "--task", "Reach")
+    assert values["copied_vs_here"] > 0
+    assert 200 < values["bytes_per_control_step"] < 2000
+    assert values["policy_bytes"] > 4 * 128 * 128
+
+
+@pytest.mark.slow
 @pytest.mark.skipif(gl.find_backend() is None, reason=gl.INSTALL_HINT)
 def test_cameras_are_compared_and_drawn(tmp_path: Path) -> None:
     values = figures(tmp_path, "cameras", "--plot", str(tmp_path / "plot.png"))

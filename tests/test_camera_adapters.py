@@ -22,6 +22,7 @@ PART = "robot0_eye_in_hand_image"
 WRIST = {"cameras": ["robot0_eye_in_hand"], "image_size": 16, "image_quality": "lean"}
 
 
+@pytest.mark.slow
 def test_gymnasium_gives_numbers_by_role_and_pictures() -> None:
     options = {"max_episode_steps": 3, "frames": 2, **WRIST}
     envs = gymnasium.make_vec("manip/Reach-v0", num_envs=2, **options)

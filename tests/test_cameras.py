@@ -317,6 +317,7 @@ def assert_ends_in_silence(task: str, options: list[dict]) -> None:
     assert done.stdout.split() == ["True"] * len(options)
 
 
+@pytest.mark.slow
 def test_open_renderers_end_without_a_word() -> None:
     assert_ends_in_silence("Lift", [{}, {"backend": "stock"}])
 
@@ -339,6 +340,7 @@ def looking(scene: Scene, looks: float | str, num_envs: int = 3) -> TaskBatch:
     return batch
 
 
+@pytest.mark.slow
 def test_looks_change_pictures_and_nothing_else(lift_scene: Scene) -> None:
     plain, varied = looking(lift_scene, 0.0), looking(lift_scene, 1.0)
     for seed in range(2):

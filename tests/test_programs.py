@@ -16,6 +16,7 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 import imageio_ffmpeg
+import numpy as np
 import pytest
 import yaml
 
@@ -186,6 +187,18 @@ def test_render_shows_the_requested_steps(manip: Manip, run: Path) -> None:
     assert len(list(reader)) == 2 * 5
 
 
+@pytest.mark.skipif(gl.find_backend() is None, reason=gl.INSTALL_HINT)
+def test_render_shows_two_policies_side_by_side(manip: Manip, run: Path) -> None:
+    size = ("--width", "96", "--height", "64", "--steps", "2", "--episodes", "1")
+    result = manip("render", str(run), "--before", str(run), *size)
+    assert (result.code, result.out) == (0, "video.mp4\n")
+    reader = imageio_ffmpeg.read_frames("video.mp4")
+    assert next(reader)["size"] == (192, 64)
+    for frame in reader:
+        picture = np.frombuffer(frame, np.uint8).reshape(64, 2, 96, 3).astype(int)
+        assert np.abs(picture[:, 0] - picture[:, 1]).mean() < 5  # coded by H.264
+
+
 @pytest.mark.parametrize("program", sorted(main.PROGRAMS))
 def test_every_program_explains_itself(program: str, manip: Manip) -> None:
     result = manip(program, "--help")
@@ -272,6 +285,7 @@ def refusal(result: Result) -> str:
         (f"evaluate RUN --episodes {10**20}", "--episodes must be at most 10000000000"),
         ("evaluate RUN --seed -1", "--seed must be at least 0, not -1"),
         ("render nowhere", "nowhere holds no policy"),
+        ("render RUN --before Lift", "--before is a policy for Lift, and the other"),
         ("render RUN --steps 0", "--steps must be at least 1, not 0"),
         ("render RUN --width 0", "--width must be at least 1, not 0"),
         ("render RUN --width 100000", "--width must be at most 4096"),

@@ -87,6 +87,37 @@ def test_each_state_has_one_caption(pendulum: mujoco.MjModel) -> None:
         list(frames)
 
 
+@draws
+@pytest.mark.parametrize(
+    ("camera", "place"),
+    [
+        ("front", (0.3, 0, 0.4)),
+        ("workspace", (0.1, 0.2, 1.2)),
+        ("closeup", (-0.1, 0.1, 1.1)),
+    ],
+)
+def test_a_trail_has_its_dots_where_the_site_is_drawn(
+    pendulum: mujoco.MjModel, camera: str, place: tuple[float, ...]
+) -> None:
+    pendulum.site("goal").pos[:], pendulum.site("goal").size[:] = place, 0.02
+    states = np.zeros((1, 1))
+    (plain,) = render_frames(pendulum, states, camera)
+    (dotted,) = render_frames(pendulum, states, camera, trail="goal")
+    red = plain[..., 0] > plain[..., 1].astype(int) + 30
+    changed = (plain != dotted).any(-1)
+    centres = [np.argwhere(mask).mean(0) for mask in (red, changed)]
+    np.testing.assert_allclose(*centres, atol=2)
+
+
+@draws
+def test_a_trail_keeps_the_places_of_earlier_frames(pendulum: mujoco.MjModel) -> None:
+    states = np.zeros((3, 1))
+    plain = render_frames(pendulum, states, "front")
+    dotted = render_frames(pendulum, states, "front", trail="goal")
+    sizes = [(a != b).any(-1).sum() for a, b in zip(plain, dotted, strict=True)]
+    assert sizes[0] == sizes[2] > 0  # the site stands: dots on one place
+
+
 def test_hidden_sites_have_no_alpha(pendulum: mujoco.MjModel) -> None:
     hide_decorations(pendulum)
     assert pendulum.site("marker").rgba[3] == 0
@@ -94,8 +125,8 @@ def test_hidden_sites_have_no_alpha(pendulum: mujoco.MjModel) -> None:
 
 
 def test_unknown_camera_lists_the_cameras(pendulum: mujoco.MjModel) -> None:
-    assert camera_names(pendulum) == ("workspace", "front")
-    known = "did you mean 'front'\\? known cameras: workspace, front"
+    assert camera_names(pendulum) == ("workspace", "closeup", "front")
+    known = "did you mean 'front'\\? known cameras: workspace, closeup, front"
     with pytest.raises(UserError, match=f"unknown camera 'frnt': {known}"):
         render_frames(pendulum, np.zeros((1, 1)), "frnt")
 

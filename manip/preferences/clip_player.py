@@ -29,7 +29,7 @@ class ClipPlayer:
     def frames(
         self, clip: Clip, camera: str = WORKSPACE, width: int = 480, height: int = 360
     ) -> Generator[Array, None, None]:
-        """Draw a clip as T + 1 frames, uint8 [height, width, 3].
+        """Draw a clip as T + 1 frames, uint8 [height, width, 3], with the hand's path.
 
         They follow each other at header.control_freq frames a second.
 
@@ -37,7 +37,9 @@ class ClipPlayer:
             UserError: see `render_frames`; or the clip does not fit its task.
         """
         batch = self._restored(clip)
-        return render_frames(batch.visual_model(0), clip.qpos, camera, width, height)
+        model, tool = batch.visual_model(0), batch.scene.layout.arm.tool
+        hand = batch.scene.physics.site(tool).name
+        return render_frames(model, clip.qpos, camera, width, height, trail=hand)
 
     def measure_again(self, clip: Clip) -> tuple[Array, Array]:
         """Repeat a clip's actions from its start.

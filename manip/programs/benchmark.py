@@ -30,6 +30,8 @@ class Benchmark:
     env: TorchRL and Gymnasium environments and a collect loop with a policy, as a
     fraction of the engine's speed.
 
+    collectors: PPO's rollouts, with and without being copied between processes.
+
     startup: seconds to the first control step, with cold and warm compile cache.
 
     scaling: speed against environments, threads and size of the model (--plot FILE).
@@ -50,6 +52,7 @@ class Benchmark:
             "engine",
             "cameras",
             "env",
+            "collectors",
             "startup",
             "scaling",
             "learner",

@@ -11,6 +11,7 @@ import tyro
 
 from manip.errors import UserError
 from manip.io.printable import printable
+from manip.preferences.clips import clip_ids, load_clip
 from manip.preferences.page.clip_drawing import ClipDrawing
 from manip.preferences.page.clip_videos import ClipVideos
 from manip.preferences.page.drawn_pairs import fill_queue
@@ -18,8 +19,9 @@ from manip.preferences.page.label_app import PageSettings, make_app
 from manip.preferences.page.label_session import LabelSession
 from manip.preferences.page.page_input import check_name
 from manip.preferences.page.page_server import listen, make_page_server
+from manip.preferences.tastes import load_taste
 from manip.programs import cli
-from manip.sim.renderer import WORKSPACE
+from manip.sim.renderer import CLOSEUP
 
 MOST_PAIRS = 100_000
 
@@ -27,8 +29,6 @@ MOST_REPEATED = 0.5
 """Largest share of repeated pairs: what is repeated must have been new once."""
 
 LARGEST_PORT = 65_535
-
-QUESTION = "Which clip is better?"
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,10 @@ class Label:
     labeller: str | None = None
     """Name of the person who compares. Without it, the page asks; several people can
     then work at once, each in a tab of their own, on different pairs."""
+    taste: str | None = None
+    """Name or file of a taste (see `manip list`) whose words are the question."""
     question: str | None = None
-    """What to decide by, shown above the clips. Unless given, what the training run
-    that waits stored, or else a general question."""
+    """What to decide by, shown above the clips, in words of your own."""
     pairs: int | None = None
     """Draw random pairs of the folder's clips until its queue holds this number. Unless
     given, only the pairs that a training run waits for are shown."""
@@ -58,8 +59,9 @@ class Label:
     cost time."""
     seed: int = 0
     """Seed of the pairs that --pairs draws."""
-    camera: str = WORKSPACE
-    """Camera of the clips: workspace, or one of the model's own (frontview, ...)."""
+    camera: str = CLOSEUP
+    """Camera of the clips: closeup, workspace, or one of the model's own (frontview,
+    ...)."""
     port: int | None = None
     """Port of the page on this machine. Unless given, 8321, or a free one."""
     browser: bool = True
@@ -81,8 +83,8 @@ def serve(options: Label) -> None:
         UserError: an option is out of range, there is no such folder, or nothing can
             draw here.
     """
-    settings = _settings(options)
-    _check(options)
+    check(options)
+    settings = settings_of(options)
     if options.pairs is not None:
         fill_queue(options.folder, options.pairs, options.seed)
     session = LabelSession(options.folder, options.repeats)
@@ -107,7 +109,10 @@ def _announce(address: str, browser: bool) -> None:
         print("No browser was opened: open the address in one.", flush=True)
 
 
-def _check(options: Label) -> None:
+def check(options: Label) -> None:
+    """Raise `UserError` for an option that is out of range, or a missing folder."""
+    if options.labeller is not None:
+        check_name(options.labeller)
     if not options.folder.is_dir():
         raise UserError(f"there is no folder {printable(str(options.folder))}")
     if options.pairs is not None:
@@ -120,6 +125,21 @@ def _check(options: Label) -> None:
         )
 
 
-def _settings(options: Label) -> PageSettings:
-    name = None if options.labeller is None else check_name(options.labeller)
-    return PageSettings(question=options.question or QUESTION, labeller=name)
+def settings_of(options: Label) -> PageSettings:
+    """What the page shows: labeller and question."""
+    name = options.labeller and check_name(options.labeller)
+    return PageSettings(question=_question(options), labeller=name)
+
+
+def _question(options: Label) -> str:
+    """The question that was given, or one about the clips' task and the taste.
+
+    Raises:
+        UserError: the task has no such taste, or its clip is damaged.
+    """
+    clips = clip_ids(options.folder)
+    if options.question is not None or not clips:
+        return options.question or "Which clip is better?"
+    task = load_clip(options.folder, clips[0]).header.task
+    words = f" {load_taste(task, options.taste).words}" if options.taste else ""
+    return f"Which is the better {task}?{words}"

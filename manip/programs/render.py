@@ -49,13 +49,16 @@ class Render:
     seed: int = 0
     """Seed of the episodes' random streams, the same as of `manip evaluate`."""
     camera: str = WORKSPACE
-    """Camera: workspace, or one of the model's own (frontview, sideview, ...)."""
+    """Camera: workspace, closeup, or one of the model's own (frontview, sideview,
+    ...)."""
     width: int = 640
     """Width of the picture [pixel]."""
     height: int = 480
     """Height of the picture [pixel]."""
     steps: int | None = None
     """Control steps shown of each episode. All of them unless given."""
+    before: Path | None = None
+    """Another policy for the same task, shown at the left in the same episodes."""
     images: bool = False
     """Show the images that the policy sees beside each frame, enlarged. They make the
     video wider."""
@@ -78,16 +81,34 @@ def render_video(options: Render) -> None:
             draw here, or the task has no states to draw; all before the episodes.
     """
     _check(options)
-    policy = load_policy(options.run)
-    task = load_task_named_by(options.run, policy.card.task)
+    runs = [run for run in (options.before, options.run) if run is not None]
+    policies = [load_policy(run) for run in runs]
+    _check_same_task(policies)
+    recorders = [_record(*each, options) for each in zip(runs, policies, strict=True)]
+    rows = zip(*(each.frames(options) for each in recorders), strict=True)
+    frames = (np.concatenate(row, axis=1) for row in rows)
+    save_animation(options.out, frames, policies[-1].card.control_freq)
+
+
+def _record(run: Path, policy: Policy, options: Render) -> "Recorder":
+    """Run the episodes of a policy, after drawing one picture."""
     if options.images and policy.card.cameras is None:
-        raise UserError(f"the policy in {options.run} sees no images: drop --images")
+        raise UserError(f"the policy in {run} sees no images: drop --images")
+    task = load_task_named_by(run, policy.card.task)
     env = make_env(_settings(options, policy, task), options.episodes)
     _draw_one(env, options)
     recorder = Recorder(env)
     run_episodes(env, policy, options.episodes, callback=recorder)
-    fps = policy.card.control_freq
-    save_animation(options.out, recorder.frames(options), fps)
+    return recorder
+
+
+def _check_same_task(policies: Sequence[Policy]) -> None:
+    names = [policy.card.task for policy in policies]
+    if names[0] != names[-1]:
+        raise UserError(
+            f"--before is a policy for {names[0]}, and the other one for {names[-1]}: "
+            "name two policies for one task"
+        )
 
 
 def _check(options: Render) -> None:

@@ -1,8 +1,8 @@
-"""`manip study`: measure what policy gradient algorithms and their options do."""
+"""`manip study`: measure what algorithms and their options do."""
 
 import csv
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from io import StringIO
 from math import isnan
 from pathlib import Path
@@ -15,6 +15,7 @@ from manip.envs.task_registry import load_task
 from manip.errors import UserError, at_least
 from manip.io.atomic_files import write_text
 from manip.io.output_paths import check_output_folder
+from manip.preferences.tastes import load_taste
 from manip.programs import cli
 from manip.programs.output import console
 from manip.studies import gradient_figures, learning_figures
@@ -25,10 +26,18 @@ from manip.studies.learning import (
     clipping_variants,
     evaluations,
 )
+from manip.studies.rlhf import PreferenceRow, PreferenceStudy
+from manip.studies.rlhf_figures import FIGURES
+from manip.studies.rlhf_scores import Scorer
+from manip.studies.rlhf_variants import HORIZON, PARTS, START, Part, Variants
 from manip.training.config import TrainConfig
 
 Measure = Callable[["Study"], list[Any]]
-Figures = Mapping[str, Callable[[Sequence[Any], Path], None]]
+Draw = Callable[[Sequence[Any], Path], None]
+Figures = Callable[["Study"], Mapping[str, Draw]]
+
+RLHF_STEPS = 61_440
+"""Control steps of a run of `rlhf`: 30 rollouts of 64 environments."""
 
 FEWEST_ROLLOUTS = 8
 """Fewer do not give a covariance and its bootstrap intervals."""
@@ -45,21 +54,26 @@ class Study:
     clipping: PPO's epochs with and without clipping.
 
     algorithms: all algorithms, success against control steps and computing time.
+
+    rlhf: learning from preferences, with simulated labellers: methods at equal labels,
+    over-optimisation, number of labels, inputs of the reward model, flawed labellers.
     """
 
     what: Annotated[
-        Literal["gradients", "clipping", "algorithms"], tyro.conf.Positional
+        Literal["gradients", "clipping", "algorithms", "rlhf"], tyro.conf.Positional
     ]
     """Study to run."""
-    tasks: tuple[str, ...] = ("Reach",)
-    """Tasks; `gradients` and `clipping` use the first."""
+    tasks: tuple[str, ...] = ()
+    """Tasks; Reach unless given, or Lift for `rlhf`. Only `algorithms` uses more than
+    the first."""
     algos: tuple[str, ...] = tuple(algo for algo in algorithm_names() if algo != "bc")
     """Algorithms that `algorithms` compares; by default all that learn from rewards."""
     seeds: int = 3
     """Number of runs of each variant, with seeds 0, 1, ...; more seeds narrow the
     intervals."""
     steps: int | None = None
-    """Control steps of a run; by default as many as its recipe has."""
+    """Control steps of a run; by default as many as its recipe has, or 61,440 for
+    `rlhf`."""
     stages: tuple[int, ...] = (5_000, 20_000, 80_000)
     """Control steps of training after which `gradients` measures."""
     gamma: float = 0.97
@@ -68,6 +82,12 @@ class Study:
     """Rollouts per stage of `gradients`; more rollouts give narrower intervals."""
     length: int = 40
     """Control steps at the start of an episode that enter a gradient."""
+    parts: tuple[Part, ...] = PARTS
+    """Parts of `rlhf`, a figure each; runs that several parts need are made once."""
+    taste: str = "gentle"
+    """Taste of the labellers of `rlhf` (see `manip list`)."""
+    episodes: int = 100
+    """Episodes in which `rlhf` scores each policy; more give more accurate values."""
     processes: int | None = None
     """Number of runs at a time; one for each usable CPU unless given."""
     out: Path = Path("runs/study")
@@ -76,7 +96,7 @@ class Study:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the study and print the paths of its results."""
-    options = cli.parse(Study, arguments, "manip study")
+    options = _with_tasks(cli.parse(Study, arguments, "manip study"))
     _check(options)
     options.out.mkdir(parents=True, exist_ok=True)
     measure_rows, figures = STUDIES[options.what]
@@ -84,15 +104,20 @@ def main(arguments: Sequence[str]) -> int:
     table = options.out / f"{options.what}.csv"
     write_text(table, _table(rows))
     console().print(str(table), highlight=False)
-    for name, draw in figures.items():
+    for name, draw in figures(options).items():
         picture = options.out / f"{name}.png"
         draw(rows, picture)
         console().print(str(picture), highlight=False)
     return 0
 
 
+def _with_tasks(options: Study) -> Study:
+    default = "Lift" if options.what == "rlhf" else "Reach"
+    return replace(options, tasks=options.tasks or (default,))
+
+
 def _check(options: Study) -> None:
-    for name in ("seeds", "length"):
+    for name in ("seeds", "length", "episodes"):
         at_least(1, f"--{name}", getattr(options, name))
     at_least(FEWEST_ROLLOUTS, "--rollouts", options.rollouts)
     for name in ("steps", "processes"):
@@ -107,7 +132,7 @@ def _check(options: Study) -> None:
 
 
 def _check_names(options: Study) -> None:
-    for name in ("tasks", "algos", "stages"):
+    for name in ("algos", "stages", "parts"):
         if not getattr(options, name):
             raise UserError(f"--{name} must name at least one")
     for task in options.tasks:
@@ -156,16 +181,36 @@ def _evaluations(
     return evaluations(variants, seeds, options.out / "runs", options.processes)
 
 
+def _rlhf(options: Study) -> list[PreferenceRow]:
+    task, taste = options.tasks[0], options.taste
+    load_taste(task, taste)
+    steps = RLHF_STEPS if options.steps is None else options.steps
+    if steps < 2 * START:
+        raise UserError(f"--steps must be at least {2 * START} for rlhf, not {steps}")
+    variants = Variants(task, taste, steps).of(options.parts)
+    scorer = Scorer(task, taste, options.episodes, HORIZON)
+    folder, seeds = options.out / "rlhf", range(options.seeds)
+    study = PreferenceStudy(variants, seeds, scorer, folder, options.processes)
+    return study.rows()
+
+
 STUDIES: dict[str, tuple[Measure, Figures]] = {
     "gradients": (
         _gradients,
-        {
+        lambda _: {
             "variance": gradient_figures.draw_variance,
             "bias": gradient_figures.draw_bias,
         },
     ),
-    "clipping": (_clipping, {"clipping": learning_figures.draw_clipping}),
-    "algorithms": (_algorithms, {"algorithms": learning_figures.draw_algorithms}),
+    "clipping": (_clipping, lambda _: {"clipping": learning_figures.draw_clipping}),
+    "algorithms": (
+        _algorithms,
+        lambda _: {"algorithms": learning_figures.draw_algorithms},
+    ),
+    "rlhf": (
+        _rlhf,
+        lambda options: {f"rlhf-{part}": FIGURES[part] for part in options.parts},
+    ),
 }
 """Study -> the function that measures its rows, and the figures of these rows."""
 

@@ -14,16 +14,23 @@ from manip.errors import unknown
 from manip.io.video import Caption, draw_caption
 from manip.sim.drawer import Drawer
 from manip.sim.gl import use_backend
+from manip.sim.trail import Trail
 
-WORKSPACE = "workspace"
-"""An additional camera: the whole arm and the table top, from the arm's left."""
+WORKSPACE, CLOSEUP = "workspace", "closeup"
+"""Additional cameras, from the arm's left: the whole arm and the table top; or the
+space in which the hand works, in which small motions are better seen.
+"""
+
+_LOOK_AT = {WORKSPACE: ((-0.16, 0.0, 1.08), 1.45), CLOSEUP: ((0.0, 0.0, 0.99), 0.95)}
+"""Camera -> the point it looks at and its distance [m], for robosuite's table at
+(0, 0, 0.8) m and a base at x = -0.56 m."""
 
 _VISUAL_GROUP = 1  # robosuite's groups: 0 collision, 1 visual, 2 mouse targets
 
 
 def camera_names(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Names of the cameras for `render_frames`: workspace, then the model's own."""
-    return WORKSPACE, *(model.camera(index).name for index in range(model.ncam))
+    """Names of the cameras for `render_frames`: additional ones, then the model's."""
+    return *_LOOK_AT, *(model.camera(index).name for index in range(model.ncam))
 
 
 def hide_decorations(model: mujoco.MjModel) -> None:
@@ -43,6 +50,7 @@ def render_frames(
     width: int = 640,
     height: int = 480,
     captions: Sequence[Caption] | None = None,
+    trail: str | None = None,
 ) -> Generator[np.ndarray, None, None]:
     """Draw T states [nq] as T frames, uint8 [height, width, 3], RGB.
 
@@ -55,13 +63,15 @@ def render_frames(
         camera: one of `camera_names(model)`.
         width, height: of a frame [pixels].
         captions: one for each state.
+        trail: name of a site; each frame shows its places in the frames before.
 
     Raises:
         UserError: the camera does not exist, or no OpenGL backend works here.
     """
     view = _view(model, camera)
     use_backend()
-    frames = _draw(_drawable(model, width, height), states, view, width, height)
+    path = None if trail is None else Trail(trail, view)
+    frames = _draw(_drawable(model, width, height), states, view, (height, width), path)
     if captions is None:
         return frames
     pairs = zip(frames, captions, strict=True)
@@ -69,8 +79,8 @@ def render_frames(
 
 
 def _view(model: mujoco.MjModel, camera: str) -> mujoco.MjvCamera:
-    if camera == WORKSPACE:
-        return _workspace_view()
+    if camera in _LOOK_AT:
+        return _free_view(*_LOOK_AT[camera])
     if camera not in camera_names(model):
         raise unknown("camera", camera, camera_names(model))
     view = mujoco.MjvCamera()
@@ -79,11 +89,10 @@ def _view(model: mujoco.MjModel, camera: str) -> mujoco.MjvCamera:
     return view
 
 
-def _workspace_view() -> mujoco.MjvCamera:
-    """A camera for robosuite's table at (0, 0, 0.8) m and a base at x = -0.56 m."""
+def _free_view(point: tuple[float, ...], distance: float) -> mujoco.MjvCamera:
     view = mujoco.MjvCamera()
-    view.lookat[:] = (-0.16, 0.0, 1.08)
-    view.distance, view.azimuth, view.elevation = 1.45, 225.0, -18.0
+    view.lookat[:] = point
+    view.distance, view.azimuth, view.elevation = distance, 225.0, -18.0
     return view
 
 
@@ -100,15 +109,16 @@ def _draw(
     model: mujoco.MjModel,
     states: Iterable[np.ndarray],
     view: mujoco.MjvCamera,
-    width: int,
-    height: int,
+    size: tuple[int, int],
+    trail: Trail | None,
 ) -> Generator[np.ndarray, None, None]:
     data = mujoco.MjData(model)
     options = _visual_only()
-    with closing(Drawer(model, height, width)) as drawer:
+    with closing(Drawer(model, *size)) as drawer:
         for state in states:
             _pose(model, data, state)
-            yield drawer.draw(data, view, options)
+            frame = drawer.draw(data, view, options)
+            yield frame if trail is None else trail.draw(model, data, frame)
 
 
 def _visual_only() -> mujoco.MjvOption:

@@ -69,7 +69,8 @@ def training_env(config: TrainConfig, group: int, groups: int) -> TaskEnv:
     )
     batch.stop_at_faults = config.faults == "stop"
     clips = config.preferences is not None
-    return TaskEnv(batch, expert_of(config, batch), measures=clips, states=clips)
+    measures = clips or bool(config.taste)
+    return TaskEnv(batch, expert_of(config, batch), measures=measures, states=clips)
 
 
 def evaluation_env(config: TrainConfig) -> TaskEnv:

@@ -137,6 +137,9 @@ class TrainConfig:
     it asks for (see --labels), instead of from the task's reward."""
     labels: LabelOptions = field(default_factory=LabelOptions)
     """Options of a run with --preferences."""
+    taste: str = ""
+    """Taste whose weighted penalties are subtracted from the reward (see `manip list`):
+    what labellers of this taste want, as if it were known without labels."""
     agent: AgentConfig = field(default_factory=lambda: load_algorithm("sac").Config())
     """Options of the algorithm."""
 

@@ -8,6 +8,7 @@ from manip.agents.agent import Agent
 from manip.agents.registry import load_algorithm
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.external_task import ExternalTask
+from manip.envs.task_batch import TaskBatch
 from manip.envs.task_registry import load_task
 from manip.errors import UserError
 from manip.preferences.clip_pool import ClipPool
@@ -19,7 +20,9 @@ from manip.preferences.preference_agent import PreferenceAgent
 from manip.preferences.reward_learning import generator_of
 from manip.preferences.reward_model import RewardCard, RewardModel, input_names
 from manip.preferences.reward_network import RewardNetwork
+from manip.preferences.taste_reward import TasteReward
 from manip.preferences.tastes import load_taste
+from manip.rewards.reward_function import RewardFunction
 from manip.training.config import TrainConfig, lasting
 
 HIDDEN = [64, 64]
@@ -33,6 +36,11 @@ def check_preferences(config: TrainConfig) -> None:
         UserError: they do not.
     """
     algorithm = load_algorithm(config.algo)
+    if config.taste and config.preferences is not None:
+        raise UserError(
+            "--taste is paid as a reward, and --preferences learns one: leave one of "
+            "them out, or give the taste to the labeller with --labels.taste"
+        )
     if config.preferences is None:
         if algorithm.prefers:
             raise UserError(
@@ -86,6 +94,20 @@ def with_preferences(config: TrainConfig, agent: Agent, env: TaskEnv) -> Agent:
     rounds.check()
     pool = ClipPool(example, options.clip_steps, capacity, source.nq)
     return PreferenceAgent(agent, pool, rounds)
+
+
+def with_taste(
+    config: TrainConfig, reward: RewardFunction, batch: TaskBatch
+) -> RewardFunction:
+    """The reward of a run: minus the penalties of its taste, if it has one.
+
+    Raises:
+        UserError: there is no such taste.
+    """
+    if not config.taste:
+        return reward
+    taste = load_taste(config.task, config.taste)
+    return TasteReward(reward, taste, batch.measure_names)
 
 
 def run_id(config: TrainConfig) -> str:

@@ -17,7 +17,11 @@ from manip.training.initial_policy import start_agent
 from manip.training.inputs import spaces_of
 from manip.training.memory import check_memory
 from manip.training.nan_guard import NanGuard
-from manip.training.preferences import check_preferences, with_preferences
+from manip.training.preferences import (
+    check_preferences,
+    with_preferences,
+    with_taste,
+)
 
 
 @dataclass(frozen=True)
@@ -87,6 +91,7 @@ def build_parts(
     guard = NanGuard(agent.optimisers(), config.faults == "stop")
     milestones = evaluator.env.batch.task.milestone_names
     batch = envs[0].batch
+    reward = with_taste(config, reward, batch)
     weights = {name: batch.reward_weights[name] for name in batch.reward_names}
     return RunParts(
         envs=envs,

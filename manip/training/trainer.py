@@ -150,13 +150,13 @@ class Trainer:
     def _evaluate(self) -> bool:
         """Evaluate the policy, and save it if it is the best; return whether it is.
 
-        With preferences the latest is: evaluations know nothing of what is preferred.
+        With preferences or a taste the latest is: evaluations know nothing of these.
         """
         evaluation = self.parts.evaluator(self.parts.agent, self.state.env_steps)
         self._log_row(evaluation.row())
         self._report(evaluation.line(self.state.seconds))
         best = not self.state.best or evaluation.score > self.state.best
-        best |= self.config.preferences is not None
+        best |= self.config.preferences is not None or bool(self.config.taste)
         if best:
             self.state.best = evaluation.score
             evaluation.policy.save(self.folder / "policy")
