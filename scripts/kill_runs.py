@@ -4,7 +4,8 @@
 `writes` kills it just before a random one of its file operations (create, open, rename,
 link, remove, ...), on any file of the run.
 Every kill is followed by --resume. Once a run has finished, its metrics, checkpoints
-and policy must equal those of the uninterrupted run, bit for bit.
+and policy must equal those of the uninterrupted run, bit for bit. `labels` is a run
+that learns from preferences: its comparisons must be the same, too.
 """
 
 import argparse
@@ -32,9 +33,16 @@ RUN = """
     --eval-every 640 --eval-episodes 2 --checkpoint-every 0
     --agent.actor-hidden 16 --agent.critic-hidden 16
 """
+SAC = "--algo sac --agent.random-steps 128 --agent.buffer-size 1000"
+LABELS = """
+    --preferences {run}-labels --labels.labeller noisy --labels.total 60
+    --labels.first 20 --labels.per-round 10 --labels.start 320 --labels.every 480
+    --labels.clip-steps 5 --labels.recent 400
+"""
 ALGORITHMS = {
-    "ppo": "--agent.rollout-length 16 --agent.minibatches 2",
-    "sac": "--agent.random-steps 128 --agent.buffer-size 1000",
+    "ppo": "--algo ppo --agent.rollout-length 16 --agent.minibatches 2",
+    "sac": SAC,
+    "labels": f"{SAC} {LABELS}",
 }
 """A run of seconds that does everything that long ones do."""
 
@@ -79,7 +87,7 @@ class Trial:
     """Runs of an algorithm: an uninterrupted one, and those that are killed."""
 
     def __init__(self, algo: str, folder: Path, chance: random.Random) -> None:
-        self._command = ["--algo", algo, *f"{RUN} {ALGORITHMS[algo]}".split()]
+        self._options = f"{RUN} {ALGORITHMS[algo]} --out {{run}}"
         self._folder, self._chance = folder, chance
         self._whole = folder / "whole"
 
@@ -134,7 +142,7 @@ class Trial:
 
     def _start(self, run: Path, prepare: Prepare) -> int:
         saved = any((run / "checkpoints").glob("[!.]*"))
-        command = [*self._command, "--out", str(run), *(["--resume"] * saved)]
+        command = self._options.format(run=run).split() + ["--resume"] * saved
         child = os.fork()
         if child:
             return child
@@ -213,7 +221,19 @@ def same_runs(run: Path, other: Path) -> bool:
     names = ("checkpoints/latest", "checkpoints/best", "policy/policy")
     files = [f"{name}.safetensors" for name in names]
     same = all(_tree(run / name) == _tree(other / name) for name in files)
-    return same and _metrics(run) == _metrics(other)
+    return same and _metrics(run) == _metrics(other) and _same_answers(run, other)
+
+
+def _same_answers(run: Path, other: Path) -> bool:
+    """Whether two runs have the same comparisons, if they learn from any."""
+    return _answers(run) == _answers(other)
+
+
+def _answers(run: Path) -> list[tuple[Any, ...]]:
+    path = run.with_name(f"{run.name}-labels") / "comparisons.jsonl"
+    lines = path.read_text().splitlines() if path.exists() else []
+    names = ("round", "left", "right", "answer")
+    return [tuple(json.loads(line)[name] for name in names) for line in lines]
 
 
 def _tree(path: Path) -> tuple[Any, dict[str, bytes]]:

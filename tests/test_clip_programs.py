@@ -68,6 +68,22 @@ def test_mistakes_are_one_line(
     assert error.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["Reach", "--expert"], "holds clips of Lift, Panda, OSC_POSE, 20 Hz, 20"),
+        (["Lift", "--expert", "--steps", "10"], "with clips of Lift, Panda, OSC_POSE"),
+    ],
+)
+def test_clips_of_another_kind_need_another_folder(
+    arguments: list[str], message: str, folder: Path, capsys
+) -> None:
+    before = clip_ids(folder)
+    assert run("clips", *arguments, "--count", 2, "--out", folder) == 2
+    assert message in capsys.readouterr().err
+    assert clip_ids(folder) == before
+
+
 def test_comparisons_are_summarised(folder: Path, capsys) -> None:
     first, second = clip_ids(folder)[:2]
     append_comparison(folder, "Ada", (first, second), "left")

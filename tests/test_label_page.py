@@ -1,7 +1,9 @@
 """The labelling page through HTTP: a real process serves it."""
 
+import contextlib
 import json
 import socket
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import quote
@@ -18,6 +20,8 @@ from label_program import (
 
 from manip.errors import UserError
 from manip.preferences.comparisons import COMPARISONS, valid_comparisons
+from manip.preferences.page.clip_drawing import ClipDrawing
+from manip.preferences.page.page_input import LONGEST
 from manip.preferences.page.page_server import listen
 
 VIDEO = b"a video"
@@ -176,6 +180,22 @@ def test_no_answer_is_lost_when_it_is_killed(tmp_path: Path) -> None:
     assert [each.answer for each in valid_comparisons(folder)] == answers
 
 
+@pytest.mark.slow
+def test_with_once_it_ends_after_the_last_answer(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path, 1, VIDEO)
+    with program(folder, "--once") as page:
+        page.answer("left")
+        for _ in range(600):
+            time.sleep(0.1)
+            with contextlib.suppress(OSError):
+                socket.create_connection(("127.0.0.1", page.port), 1).close()
+                continue
+            break
+        with pytest.raises(OSError, match="refused"):
+            page.view()
+    assert len(valid_comparisons(folder)) == 1
+
+
 def test_an_answer_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     folder = make_folder(tmp_path, 2, VIDEO)
     with served_here(folder) as page:
@@ -198,3 +218,18 @@ def test_another_port_where_the_usual_one_is_in_use() -> None:
     with listen(None) as first, listen(None) as second:
         assert first.getsockname() != second.getsockname()
         assert second.getsockname()[0] == "127.0.0.1"
+
+
+def test_videos_are_not_written_through_a_link(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "videos").symlink_to(tmp_path / "elsewhere")
+    drawing = ClipDrawing(tmp_path, "frontview")
+    with pytest.raises(UserError, match="is a link"):
+        drawing.draw("a" * 24, drawing.videos / "clip.mp4")
+
+
+def test_a_time_of_many_digits_is_cut(page: Address, folder: Path) -> None:
+    body = page.view("Max")["pair"] | {"labeller": "Max", "answer": "skip"}
+    status, _, _ = page.request("/api/answer", body | {"seconds": 10**400})
+    assert status == 200
+    assert valid_comparisons(folder)[-1].seconds == LONGEST

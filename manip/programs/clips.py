@@ -18,9 +18,10 @@ from manip.envs.task_registry import load_task
 from manip.errors import UserError, at_least
 from manip.io.output_paths import check_output_folder
 from manip.io.printable import printable
+from manip.preferences.clip_header import ClipHeader
 from manip.preferences.clip_recorder import Act, Variety, record_clips
 from manip.preferences.clip_source import ClipSource, not_recordable
-from manip.preferences.clips import MOST_STEPS, Clip, save_clip
+from manip.preferences.clips import MOST_STEPS, Clip, clip_ids, load_clip, save_clip
 from manip.programs import cli
 from manip.robot_config import RobotConfig
 from manip.training.final_evaluation import load_run
@@ -86,6 +87,7 @@ def record(options: Clips) -> list[Clip]:
         cameras=policy.card.cameras if policy else None,
     )
     source = ClipSource.of(batch, name)
+    _check_alike(options, source.header)
     env = TaskEnv(batch, expert=policy is None, measures=True, states=True)
     act = Variety(_act(env, policy), num_envs, options.variety, options.seed)
     clips = record_clips(env, act, source, options.steps, _words(policy))
@@ -99,6 +101,29 @@ def _check(options: Clips) -> None:
     if not 0 <= options.variety <= 1:
         raise UserError(f"--variety must be from 0 to 1, not {options.variety}")
     check_output_folder(options.out, "--out")
+
+
+def _check_alike(options: Clips, header: ClipHeader) -> None:
+    """Refuse a folder with clips that cannot be compared with those to be recorded.
+
+    Raises:
+        UserError: a clip in the folder is of another task, arm or length.
+    """
+    for clip_id in clip_ids(options.out)[:1]:
+        clip = load_clip(options.out, clip_id)
+        given = clip.header.task, *clip.header.robot_config, clip.steps
+        wanted = header.task, *header.robot_config, options.steps
+        if given != wanted:
+            raise UserError(
+                f"{options.out} holds clips of {_listed(given)}, which cannot be "
+                f"compared with clips of {_listed(wanted)}: name another folder by "
+                "--out"
+            )
+
+
+def _listed(kind: tuple[object, ...]) -> str:
+    *names, frequency, steps = map(str, kind)
+    return f"{', '.join(names)}, {frequency} Hz, {steps} steps"
 
 
 def _actor(options: Clips) -> tuple[Policy | None, Task, str]:

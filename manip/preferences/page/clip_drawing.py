@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from manip.errors import UserError
 from manip.io.video import save_animation
 from manip.preferences.clip_player import ClipPlayer
 from manip.preferences.clips import load_clip
@@ -34,8 +35,12 @@ class ClipDrawing:
         """Draw a clip at the speed at which it was acted, as H.264.
 
         Raises:
-            UserError: there is no such clip or camera, or nothing can draw here.
+            UserError: there is no such clip or camera, nothing can draw here, or the
+                folder of the videos is a link.
         """
+        for place in (self.videos, self.videos.parent):
+            if place.is_symlink():
+                raise UserError(f"{place} is a link, and could lead out of the folder")
         if path.is_symlink():  # it would be followed
             path.unlink()
         clip = load_clip(self._folder, clip_id)

@@ -63,7 +63,7 @@ def sent_seconds() -> float:
     seconds: Any = _body().get("seconds")
     if not _is_number(seconds) or not 0 <= seconds < math.inf:
         raise UserError(f"expected the seconds of an answer, not {shown(seconds)}")
-    return min(float(seconds), LONGEST)
+    return float(min(seconds, LONGEST))
 
 
 def _is_number(value: object) -> bool:
