@@ -26,7 +26,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # read when torch is loaded
 
 from safetensors import safe_open
 
-from manip.preferences.comparisons import valid_comparisons
 from manip.programs import cli, evaluate, train
 
 RUN = """
@@ -227,12 +226,14 @@ def same_runs(run: Path, other: Path) -> bool:
 
 def _same_answers(run: Path, other: Path) -> bool:
     """Whether two runs have the same comparisons, if they learn from any."""
-    folders = (path.with_name(f"{path.name}-labels") for path in (run, other))
-    answers, others = (
-        [(a.round, a.left, a.right, a.answer) for a in valid_comparisons(folder)]
-        for folder in folders
-    )
-    return answers == others
+    return _answers(run) == _answers(other)
+
+
+def _answers(run: Path) -> list[tuple[Any, ...]]:
+    path = run.with_name(f"{run.name}-labels") / "comparisons.jsonl"
+    lines = path.read_text().splitlines() if path.exists() else []
+    names = ("round", "left", "right", "answer")
+    return [tuple(json.loads(line)[name] for name in names) for line in lines]
 
 
 def _tree(path: Path) -> tuple[Any, dict[str, bytes]]:

@@ -1,7 +1,9 @@
 """The labelling page through HTTP: a real process serves it."""
 
+import contextlib
 import json
 import socket
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import quote
@@ -176,6 +178,22 @@ def test_no_answer_is_lost_when_it_is_killed(tmp_path: Path) -> None:
         assert again.view() == after
         assert again.token != page.token
     assert [each.answer for each in valid_comparisons(folder)] == answers
+
+
+@pytest.mark.slow
+def test_with_once_it_ends_after_the_last_answer(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path, 1, VIDEO)
+    with program(folder, "--once") as page:
+        page.answer("left")
+        for _ in range(600):
+            time.sleep(0.1)
+            with contextlib.suppress(OSError):
+                socket.create_connection(("127.0.0.1", page.port), 1).close()
+                continue
+            break
+        with pytest.raises(OSError, match="refused"):
+            page.view()
+    assert len(valid_comparisons(folder)) == 1
 
 
 def test_an_answer_that_cannot_be_written_is_reported(tmp_path: Path) -> None:

@@ -176,6 +176,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> PreferenceStudy:
     return PreferenceStudy(small, (0,), Scorer("Lift", "gentle", 2, 16), folder)
 
 
+@pytest.mark.slow
 def test_a_study_trains_scores_and_goes_on(study: PreferenceStudy) -> None:
     rows = study.rows()
     names = [(row.variant, row.env_steps) for row in rows]
@@ -194,6 +195,7 @@ def test_a_study_trains_scores_and_goes_on(study: PreferenceStudy) -> None:
     assert before == {path: path.stat().st_mtime_ns for path in before}
 
 
+@pytest.mark.slow
 def test_a_study_refuses_runs_of_other_options(study: PreferenceStudy) -> None:
     study.rows()
     more = replace(study, scorer=replace(study.scorer, episodes=3))

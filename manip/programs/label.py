@@ -1,6 +1,8 @@
 """`manip label`: compare pairs of clips on a page in the browser."""
 
 import secrets
+import threading
+import time
 import webbrowser
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,6 +10,7 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from werkzeug.serving import BaseWSGIServer
 
 from manip.errors import UserError
 from manip.io.printable import printable
@@ -29,6 +32,9 @@ MOST_REPEATED = 0.5
 """Largest share of repeated pairs: what is repeated must have been new once."""
 
 LARGEST_PORT = 65_535
+
+UNDO_SECONDS = 10
+"""Time after the last answer in which it can be undone, with --once."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,8 @@ class Label:
     cost time."""
     seed: int = 0
     """Seed of the pairs that --pairs draws."""
+    once: bool = False
+    """End soon after the last pair is answered, instead of waiting for new pairs."""
     camera: str = CLOSEUP
     """Camera of the clips: closeup, workspace, or one of the model's own (frontview,
     ...)."""
@@ -95,11 +103,23 @@ def serve(options: Label) -> None:
     token = secrets.token_urlsafe(16)
     server = make_page_server(make_app(session, videos, settings, token), opened)
     videos.start()
+    if options.once:
+        ending = threading.Thread(target=_end, args=(session, server), daemon=True)
+        ending.start()
     try:
         _announce(f"http://127.0.0.1:{server.port}/#{token}", options.browser)
         server.serve_forever()
     finally:
         videos.close()
+
+
+def _end(session: LabelSession, server: BaseWSGIServer) -> None:
+    """Stop the server when no pair has waited for an answer for a while."""
+    waited = 0
+    while waited < UNDO_SECONDS:
+        time.sleep(1)
+        waited = 0 if session.open_count() else waited + 1
+    server.shutdown()
 
 
 def _announce(address: str, browser: bool) -> None:

@@ -110,6 +110,11 @@ class LabelSession:
                 self._on_screen[labeller] = pair
             return self._view(labeller)
 
+    def open_count(self) -> int:
+        """Number of pairs that wait for an answer."""
+        queue, valid = read_pairs(self._folder), valid_comparisons(self._folder)
+        return len(open_pairs(queue, valid))
+
     def clips_needed(self) -> list[str]:
         """Clips on screens, then those of the open pairs in the queue's order."""
         with self._lock:

@@ -77,7 +77,7 @@ async function attempt(request, failed = "") {
     at("message").textContent = "";
   } catch (error) {
     if (error instanceof server.LockedError) return showOnly("locked");
-    at("message").textContent = failed + error.message;
+    if (at("end").hidden) at("message").textContent = failed + error.message;
     if (!playing) later();
   } finally {
     busy = false;

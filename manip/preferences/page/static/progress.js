@@ -14,8 +14,9 @@ export function showEnd(view) {
   const { answered, total } = view.progress;
   at("end-title").textContent = total ? "All pairs are answered. Thank you!" : "There are no pairs yet";
   at("end-text").textContent = total
-    ? `${answered} pairs are answered and saved. If a training run waits for them, start it `
-      + "again with the same command. When it has new pairs, this page goes on by itself."
+    ? `${answered} pairs are answered and saved. A training run that waits for them goes on `
+      + "with manip train --resume. You can close this page; while manip label runs, it shows "
+      + "new pairs by itself."
     : "This page goes on by itself when a training run has stored pairs to compare.";
   at("end-agreement").textContent = agreement(view.progress);
 }
