@@ -16,7 +16,14 @@ from manip.preferences.taste_reward import SCALE, TasteReward
 from manip.preferences.tastes import Taste, TasteTerm
 from manip.rewards.reward_function import EnvironmentReward
 from manip.studies.rlhf import PreferenceRow, PreferenceStudy
-from manip.studies.rlhf_figures import FIGURES, INPUTS, LABELLERS, METHODS, gain
+from manip.studies.rlhf_figures import (
+    FIGURES,
+    INPUTS,
+    LABELLERS,
+    METHODS,
+    gains,
+    share_of_gain,
+)
 from manip.studies.rlhf_scores import Scorer, divergence
 from manip.studies.rlhf_variants import (
     FULL,
@@ -127,17 +134,17 @@ def test_each_part_has_a_figure(part: Part, seeds: int, tmp_path: Path) -> None:
     assert (tmp_path / "figure.png").stat().st_size > 10_000
 
 
-def test_gain_is_relative_to_the_known_taste() -> None:
-    """References 0.2 and 0.1, the known taste 0.6 and 0.3: 0.3 is a half of the way."""
-    utilities = {REFERENCE: (0.2, 0.1), TRUE: (0.6, 0.3)}
+def test_gain_is_relative_to_the_reference_of_the_same_seed() -> None:
+    """Gains of the known taste 0.4 and 0.2, of the other runs 0.3 and 0.0: a half."""
+    utilities = {REFERENCE: (0.2, 0.1), TRUE: (0.6, 0.3), FULL: (0.5, 0.1)}
     rows = [
         replace(row(variant, seed), utility=utility)
         for variant, values in utilities.items()
         for seed, utility in enumerate(values)
     ]
-    assert gain(0.3, rows) == pytest.approx(50.0)
-    assert gain(0.15, rows) == pytest.approx(0.0)
-    assert isnan(gain(0.3, rows[:2]))
+    assert gains(rows, FULL) == pytest.approx([0.3, 0.0])
+    assert share_of_gain(rows, FULL) == pytest.approx(50.0)
+    assert isnan(share_of_gain(rows[:2], REFERENCE))
 
 
 def tiny(variant: Variant, steps: int, stages: int) -> Variant:

@@ -1,7 +1,6 @@
 """Figures of the study of preferences: means over seeds, with Student's intervals."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from math import isnan, nan, sqrt
 from pathlib import Path
 from statistics import fmean
@@ -10,6 +9,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from manip.io.atomic_files import replace_file
 from manip.studies.bootstrap import Interval
@@ -35,22 +35,8 @@ from manip.studies.seed_interval import seed_interval
 
 Rows = Sequence[PreferenceRow]
 Value = Callable[[PreferenceRow], float]
+Values = Callable[[Rows, str], list[float]]
 Draw = Callable[[Rows, Path], None]
-
-
-@dataclass(frozen=True)
-class Panel:
-    """A quantity that is shown for each variant.
-
-    Attributes:
-        title: of the panel, with the unit.
-        value: of a row.
-        text: what is written beside the values of a variant, given all rows.
-    """
-
-    title: str
-    value: Value
-    text: Callable[[Sequence[float], Rows], str]
 
 
 def _utility(row: PreferenceRow) -> float:
@@ -111,14 +97,12 @@ def _bars(rows: Rows, labels: Mapping[str, str], title: str, path: Path) -> None
         layout="constrained",
         sharey=True,
     )
-    for axes, panel in zip(panels, PANELS, strict=True):
+    for axes, (panel, values) in zip(panels, PANELS.items(), strict=True):
         for place, name in enumerate(shown):
-            values = [panel.value(row) for row in last(rows, name)]
-            text = panel.text(values, rows)
-            _bar(axes, place, values, text)
-        axes.set_title(panel.title, fontsize="medium")
+            _bar(axes, place, values(rows, name), _text(rows, name, values))
+        axes.set_title(panel, fontsize="medium")
         axes.grid(axis="x", alpha=0.3)
-    panels[0].set_xlim(right=min(panels[0].get_xlim()[1], MOST_PERCENT))
+        _fit_to_seeds(axes, [v for name in shown for v in values(rows, name)])
     panels[0].set_yticks(range(len(shown)), list(shown.values()), fontsize="small")
     panels[0].set_ylim(len(shown) - 0.5, -0.5)
     figure.suptitle(_title(rows, title))
@@ -135,36 +119,56 @@ def _write(figure: Figure, path: Path) -> None:
     plt.close(figure)
 
 
-def gain(utility: float, rows: Rows) -> float:
-    """Gain of a mean utility over that of the references, in percent of what the runs
-    gain that have the taste as their reward; nan if these are not among the rows.
-    """
-    if not last(rows, TRUE):
-        return nan
-    start, end = (fmean(map(_utility, last(rows, n))) for n in (REFERENCE, TRUE))
-    return 100 * (utility - start) / (end - start)
+def gains(rows: Rows, name: str) -> list[float]:
+    """Utility of a variant minus that of the reference of the same seed, by seed."""
+    start = {row.seed: row.utility for row in last(rows, REFERENCE)}
+    return [row.utility - start[row.seed] for row in last(rows, name)]
 
 
-def _with_gain(values: Sequence[float], rows: Rows) -> str:
-    utility = fmean(values)
-    share = gain(utility, rows)
-    return f"{utility:.2f}" + ("" if isnan(share) else f" ({share:.0f} %)")
+def share_of_gain(rows: Rows, name: str) -> float:
+    """Mean gain in percent of that with the taste as the reward; nan without these."""
+    known = gains(rows, TRUE)
+    return 100 * fmean(gains(rows, name)) / fmean(known) if known else nan
 
 
-def _percent(values: Sequence[float], _: Rows) -> str:
-    return f"{fmean(values):.0f}"
+def _success(rows: Rows, name: str) -> list[float]:
+    return [100 * row.success_held for row in last(rows, name)]
 
 
-def _plain(values: Sequence[float], _: Rows) -> str:
-    return f"{fmean(values):.2f}"
+def _penalties(rows: Rows, name: str) -> list[float]:
+    return [row.penalty for row in last(rows, name)]
 
 
-PANELS = (
-    Panel("success held [%]", lambda row: 100 * row.success_held, _percent),
-    Panel("penalty of the taste per step", lambda row: row.penalty, _plain),
-    Panel("utility per step (gain, % of the known taste)", _utility, _with_gain),
-)
-"""What the figures of bars show: utility is task reward minus weighted penalty."""
+def _utilities(rows: Rows, name: str) -> list[float]:
+    return [row.utility for row in last(rows, name)]
+
+
+PANELS = {
+    "success held [%]": _success,
+    "penalty of the taste per step": _penalties,
+    "gain in utility per step": gains,
+}
+"""Title -> values of a variant, one for each seed; utility is the task's reward minus
+the weighted penalty, and gains are relative to the reference of the same seed."""
+
+
+def _text(rows: Rows, name: str, values: Values) -> str:
+    """The mean; for gains also in percent of what the known taste gains."""
+    mean = fmean(values(rows, name))
+    if values is _success:
+        return f"{mean:.0f}"
+    share = share_of_gain(rows, name)
+    if values is not gains or isnan(share):
+        return f"{mean:.2f}"
+    return f"{mean:+.2f} ({share:.0f} %)"
+
+
+def _fit_to_seeds(axes: Axes, values: Sequence[float]) -> None:
+    """Show all seeds; intervals of a few seeds would make the axis much longer."""
+    low, high = min(values), max(values)
+    margin = 0.15 * (high - low) or 0.1
+    axes.set_xlim(low - margin, high + margin)
+    axes.xaxis.set_major_locator(MaxNLocator(5))
 
 
 def _bar(axes: Axes, place: int, values: Sequence[float], text: str) -> None:
@@ -235,20 +239,21 @@ def _with_errors(
 def draw_labels(rows: Rows, path: Path) -> None:
     """Draw success and utility against the number of comparisons."""
     figure, panels = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
-    for axes, panel in zip(panels, (PANELS[2], PANELS[0]), strict=True):
+    shown = {"utility per step": _utilities, "success held [%]": _success}
+    for axes, (panel, of) in zip(panels, shown.items(), strict=True):
         for index, in_rounds in enumerate((True, False)):
-            rows_of = {n: last(rows, labels_name(n, in_rounds)) for n in COUNTS}
-            counts = [count for count in COUNTS if rows_of[count]]
-            values = [seed_interval([*map(panel.value, rows_of[n])]) for n in counts]
+            counts = [n for n in COUNTS if last(rows, labels_name(n, in_rounds))]
+            names = [labels_name(count, in_rounds) for count in counts]
+            values = [seed_interval(of(rows, name)) for name in names]
             # The two lines would hide each other's intervals.
             across = [count * (1 + 0.06 * index) for count in counts]
             label = "labels in rounds" if in_rounds else "all labels first"
             _with_errors(axes, across, values, "o-", f"C{index}", label)
         for name, style in ((REFERENCE, ":"), (TRUE, "--")):
-            if known := last(rows, name):
-                level = seed_interval([*map(panel.value, known)]).value
+            if known := of(rows, name):
+                level = fmean(known)
                 axes.axhline(level, ls=style, color="gray", label=METHODS[name])
-        axes.set(title=panel.title, xlabel="labels", xscale="log")
+        axes.set(title=panel, xlabel="labels", xscale="log")
         axes.set_xticks(COUNTS, [str(count) for count in COUNTS], minor=False)
         axes.minorticks_off()
     panels[1].set_ylim(top=min(panels[1].get_ylim()[1], MOST_PERCENT))
