@@ -154,6 +154,13 @@ def test_relabelling_changes_the_rewards_of_all_stored_steps() -> None:
     }
 
 
+def test_an_empty_buffer_is_relabelled_without_asking_for_rewards() -> None:
+    def reward(_: TensorDictBase) -> torch.Tensor:
+        raise AssertionError
+
+    Replay(4, 2, 1).relabel(reward)
+
+
 def fed(config: AgentConfig, seed: int = 0) -> tuple[OffPolicy, Rollout]:
     agent = make_agent(config, seed)
     assert isinstance(agent, OffPolicy)

@@ -12,7 +12,7 @@ from tensordict import TensorDict
 from manip.agents.networks import Actor
 from manip.errors import UserError
 from manip.preferences.label_options import LabelOptions
-from manip.preferences.taste_reward import TasteReward
+from manip.preferences.taste_reward import SCALE, TasteReward
 from manip.preferences.tastes import Taste, TasteTerm
 from manip.rewards.reward_function import EnvironmentReward
 from manip.studies.rlhf import PreferenceRow, PreferenceStudy
@@ -79,7 +79,8 @@ def test_a_known_taste_is_subtracted_from_the_reward() -> None:
     after = TensorDict({"reward": torch.ones(1, 3, 1), "measures": measures}, (1, 3))
     paid = reward(TensorDict({"next": after}, (1, 3)))
     assert paid.shape == (1, 3, 1)
-    assert paid.flatten().tolist() == pytest.approx([1.0, 1 - 0.8, 1 - 2.4])
+    expected = [SCALE * value for value in (1.0, 1 - 0.8, 1 - 2.4)]
+    assert paid.flatten().tolist() == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("part", PARTS)

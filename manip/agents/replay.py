@@ -179,7 +179,8 @@ class Replay:
 
         The function gets the steps as rollouts of one step each (see `steps`).
         """
-        self._columns["reward"][: self._size] = reward(self.steps()).view(-1)
+        if self._size:  # without any, the widths of the columns are not known
+            self._columns["reward"][: self._size] = reward(self.steps()).view(-1)
 
     def state(self, rows: bool) -> dict[str, Any]:
         """Return everything that later samples depend on.

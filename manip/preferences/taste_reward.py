@@ -13,10 +13,16 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from torch import Tensor
 
+SCALE = 0.2
+"""Factor of the rewards. Their values (sums over about 1 / (1 - gamma) = 33 steps) are
+then of order 1, which the new critic of a fine-tuned policy learns in few rollouts."""
+
 
 @dataclass(frozen=True)
 class TasteReward:
     """A RewardFunction: another one's reward minus the weighted penalties of a taste.
+
+    The difference is multiplied by `SCALE`.
 
     Attributes:
         reward: computes the reward without the taste.
@@ -33,4 +39,5 @@ class TasteReward:
         measures = rollout["next", "measures"].numpy()
         penalties = torch.from_numpy(self.taste.penalties(measures, self.names))
         reward = self.reward(rollout)
-        return reward - self.taste.weight * penalties.to(reward.dtype).unsqueeze(-1)
+        penalty = self.taste.weight * penalties.to(reward.dtype).unsqueeze(-1)
+        return SCALE * (reward - penalty)

@@ -76,7 +76,7 @@ class PreferenceStudy:
     def _stage(
         self, variants: Sequence[Variant], stage: int
     ) -> Iterator[PreferenceRow]:
-        cells = [(variant, seed) for seed in self.seeds for variant in variants]
+        cells = [(variant, seed) for variant in variants for seed in self.seeds]
         left = [cell for cell in cells if self._stored(*cell, stage) is None]
         runs = [self._config(*cell, stage) for cell in left]
         if runs and finish_runs(runs, self.processes) is None:

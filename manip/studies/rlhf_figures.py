@@ -167,7 +167,6 @@ def draw_overoptimisation(rows: Rows, path: Path) -> None:
     figure, panels = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
     start = [row for row in rows if row.variant == REFERENCE]
     curves = {few_name(beta): f"{FEW} labels, raw, beta {beta:g}" for beta in BETAS}
-    curves[f"{FULL}, {FEW} named"] = f"{FEW} labels, named measures, beta 0"
     curves[f"{FULL}, beta 0"] = f"{LABELS} labels in rounds, named, beta 0"
     for index, (name, label) in enumerate(curves.items()):
         curve = [row for row in rows if row.variant == name]

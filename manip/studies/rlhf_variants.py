@@ -35,7 +35,7 @@ BETA = 0.01
 """Weight of the divergence from the reference, beside rewards of standard deviation
 0.1."""
 
-BETAS = (0.0, 0.01, 0.1)
+BETAS = (0.0, 0.1)
 """Weights that the part `overoptimisation` compares."""
 
 STAGES = 3
@@ -127,16 +127,15 @@ class Variants:
         yield self._ppo(labels_name(LABELS, False), first)
         episodes, winners = ({"source": each} for each in ("episodes", "winners"))
         yield self._variant("clone episodes", "clone-best", episodes, rounds)
-        yield self._variant("dpo", "dpo", {}, rounds)
-        yield self._variant("clone winners", "clone-best", winners, rounds)
         yield self._once("dpo, first", "dpo", {}, first)
         yield self._once("clone winners, first", "clone-best", winners, first)
+        yield self._variant("dpo", "dpo", {}, rounds)
+        yield self._variant("clone winners", "clone-best", winners, rounds)
 
     def _overoptimisation(self) -> Iterator[Variant]:
         for beta in BETAS:
             few = _first(FEW, inputs=RAW)
             yield self._ppo(few_name(beta), few, beta, STAGES)
-        yield self._ppo(f"{FULL}, {FEW} named", _first(FEW), 0.0, STAGES)
         yield self._ppo(f"{FULL}, beta 0", self._rounds(LABELS), 0.0, STAGES)
 
     def _labels(self) -> Iterator[Variant]:
