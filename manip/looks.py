@@ -36,7 +36,8 @@ class Looks:
 
     Attributes:
         groups: what varies, of `GROUPS`.
-        strength: from 0 (nothing) to 1, the range of the random changes.
+        strength: from 0 to 1, the largest share of the ranges of random changes that an
+            episode's look uses.
         unseen: numbers of the fixed looks that episodes take in turn; empty where each
             episode draws its own.
     """

@@ -43,7 +43,7 @@ class PPOKLConfig(OnPolicyConfig):
     reference: str | None = None
     """Policy to start from and stay close to: a run folder or a shipped name. It sets
     the options of the network."""
-    reference_std: Annotated[float, POSITIVE] = 0.2
+    reference_std: Annotated[float, POSITIVE] = 0.1
     """Standard deviation of the actions of a reference with squash (as SAC, TD3 and BC
     train them), whose own is not one of samples near its decisions; a fraction of each
     dimension's range."""

@@ -26,7 +26,7 @@ class FineTuningConfig(AgentConfig):
     reference: str | None = None
     """Policy to start from: a run folder or a shipped name. It sets the options of the
     network."""
-    reference_std: Annotated[float, POSITIVE] = 0.2
+    reference_std: Annotated[float, POSITIVE] = 0.1
     """Standard deviation of the actions of a reference with squash (as SAC, TD3 and BC
     train them), a fraction of each dimension's range."""
     rollout_length: Annotated[int, COUNT] = 32

@@ -36,8 +36,10 @@ _CHANGED = {
 class Look:
     """Give a model the look of a seed, in place.
 
-    All changes at strength 1 are uniform in the ranges above. Unseen looks lie on the
-    edges of these ranges, and their textures are of other patterns.
+    The share of the ranges above in which a look's changes are drawn is itself uniform
+    from 0 to the strength, so that robosuite's own look, whose white table is at the
+    edge of all colours, is among them. Unseen looks lie on the edges of the ranges, and
+    their textures are of other patterns.
 
     Args:
         model: with the additional textures.
@@ -53,6 +55,7 @@ class Look:
             for group in looks.groups
             for name in _CHANGED[group]
         }
+        self._share = 1.0
         self._surroundings = _surrounding_materials(model)
         headlight = model.vis.headlight
         self._headlight = headlight.diffuse.copy(), headlight.ambient.copy()
@@ -60,13 +63,14 @@ class Look:
     def apply(self, seed: int) -> None:
         """Change the model to the look of a seed."""
         rng = np.random.Generator(np.random.Philox(key=seed))
+        self._share = self._looks.strength * rng.random()
         for group in self._looks.groups:
             getattr(self, f"_change_{group}")(rng)
 
     def _range(self, rng: np.random.Generator, *shape: int) -> Array:
-        """Numbers within +-strength; of unseen looks on the edge."""
+        """Numbers within +-share; of unseen looks on the edge."""
         values = rng.uniform(-1, 1, shape)
-        return np.sign(values) if self._looks.unseen else self._looks.strength * values
+        return np.sign(values) if self._looks.unseen else self._share * values
 
     def _change_colours(self, rng: np.random.Generator) -> None:
         for name in _CHANGED["colours"]:
@@ -76,7 +80,7 @@ class Look:
 
     def _change_textures(self, rng: np.random.Generator) -> None:
         ids = self._base["mat_texid"].copy()
-        share = 1.0 if self._looks.unseen else RETEXTURED * self._looks.strength
+        share = 1.0 if self._looks.unseen else RETEXTURED * self._share
         for material in self._surroundings:
             replaced, choice = rng.random() < share, rng.random()
             known = self._textures[int(self._model.tex_type[ids[material, _RGB]])]

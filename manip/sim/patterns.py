@@ -27,7 +27,7 @@ def test_pattern(number: int) -> Array:
 
 def _coloured(weight: Array, rng: np.random.Generator) -> Array:
     """Mix two random colours by weights [SIZE, SIZE] in [0, 1]."""
-    one, other = rng.uniform(30, 255, (2, 3))
+    one, other = rng.uniform(80, 255, (2, 3))
     mixed = one + (other - one) * weight[..., None]
     pixels: Array = mixed.astype(np.uint8)
     return pixels
