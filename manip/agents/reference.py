@@ -52,7 +52,7 @@ class FineTuning(Agent):
     """
 
     actor: Actor
-    prefers = True
+    needs_preferences = True
 
     def __init__(
         self, config: FineTuningConfig, spaces: Spaces, threads: int = 1

@@ -24,7 +24,7 @@ class Benchmark:
 
     engine: batch engine, MuJoCo's bare physics and stock robosuite.
 
-    cameras: frames per CPU second of exact and lean pictures beside robosuite's own
+    cameras: images per CPU second, exact and lean, beside robosuite's own
     (--plot FILE).
 
     env: TorchRL and Gymnasium environments and a collect loop with a policy, as a
@@ -71,8 +71,8 @@ class Benchmark:
     json: Path | None = None
     """File for figures, medians and spreads, as JSON."""
     plot: Path | None = None
-    """File for a plot of the result, .png, .pdf or .svg (scaling), or for the pictures
-    that were drawn (cameras)."""
+    """File for a figure, .png, .pdf or .svg: of the result (scaling), or of the images
+    (cameras)."""
 
 
 def main(arguments: Sequence[str]) -> int:
