@@ -11,11 +11,9 @@ import tyro
 from manip.benchmarks.rounds import Settings, measure, save, show
 from manip.envs.task_registry import load_task
 from manip.errors import UserError, at_least
-from manip.io.output_paths import check_output
+from manip.io.output_paths import PLOT_FORMATS, check_output
 from manip.programs import benchmark_task, cli
 from manip.programs.output import console
-
-PLOT_FORMATS = (".png", ".pdf", ".svg")
 
 
 @dataclass(frozen=True)
