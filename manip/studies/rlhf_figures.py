@@ -18,6 +18,7 @@ from manip.studies.rlhf import PreferenceRow
 from manip.studies.rlhf_variants import (
     BETA,
     BETAS,
+    CLOSER,
     COUNTS,
     FEW,
     FLAWED,
@@ -39,10 +40,6 @@ Values = Callable[[Rows, str], list[float]]
 Draw = Callable[[Rows, Path], None]
 
 
-def _utility(row: PreferenceRow) -> float:
-    return row.utility
-
-
 MOST_PERCENT = 102.0
 """End of the axis of success; intervals may reach beyond 100 %."""
 
@@ -59,8 +56,11 @@ METHODS = {
 
 INPUTS = {
     REFERENCE: "reference (no labels)",
-    raw_name(): f"{OUTSIDE} labels; observation, action",
-    FULL: f"{LABELS} labels; named measures",
+    **{
+        raw_name(beta): f"{OUTSIDE} labels; observation, action; beta {beta:g}"
+        for beta in (BETA, CLOSER)
+    },
+    FULL: f"{LABELS} labels; named measures; beta {BETA:g}",
     TRUE: "taste known as a formula",
 }
 
@@ -98,11 +98,13 @@ def _bars(rows: Rows, labels: Mapping[str, str], title: str, path: Path) -> None
         sharey=True,
     )
     for axes, (panel, values) in zip(panels, PANELS.items(), strict=True):
+        axes.set_xlim(_limits([v for name in shown for v in values(rows, name)]))
         for place, name in enumerate(shown):
             _bar(axes, place, values(rows, name), _text(rows, name, values))
         axes.set_title(panel, fontsize="medium")
         axes.grid(axis="x", alpha=0.3)
-        _fit_to_seeds(axes, [v for name in shown for v in values(rows, name)])
+        axes.xaxis.set_major_locator(MaxNLocator(5))
+    panels[0].set_xlim(right=MOST_PERCENT)
     panels[0].set_yticks(range(len(shown)), list(shown.values()), fontsize="small")
     panels[0].set_ylim(len(shown) - 0.5, -0.5)
     figure.suptitle(_title(rows, title))
@@ -163,29 +165,43 @@ def _text(rows: Rows, name: str, values: Values) -> str:
     return f"{mean:+.2f} ({share:.0f} %)"
 
 
-def _fit_to_seeds(axes: Axes, values: Sequence[float]) -> None:
-    """Show all seeds; intervals of a few seeds would make the axis much longer."""
-    low, high = min(values), max(values)
-    margin = 0.15 * (high - low) or 0.1
-    axes.set_xlim(low - margin, high + margin)
-    axes.xaxis.set_major_locator(MaxNLocator(5))
+def _limits(values: Sequence[float]) -> tuple[float, float]:
+    """Ends of an axis: all values but those far from the quartiles (Tukey's rule)."""
+    low, high = np.quantile(values, (0.25, 0.75))
+    span = max(values) - min(values) or 0.1
+    reach = 3 * max(high - low, span / 10)
+    margin = span / 20
+    ends = max(min(values), low - reach), min(max(values), high + reach)
+    return float(ends[0] - margin), float(ends[1] + margin)
 
 
 def _bar(axes: Axes, place: int, values: Sequence[float], text: str) -> None:
+    """Draw mean, interval and seeds; arrows stand for seeds beyond the axis."""
     interval, color = seed_interval(values), f"C{place % 10}"
     ends = [interval.low, interval.high]
     axes.plot(ends, [place] * 2, lw=7, alpha=0.3, color=color, solid_capstyle="butt")
     axes.plot(interval.value, place, "|", ms=14, mew=2, color=color)
-    axes.plot(values, [place] * len(values), "o", ms=3, color=color)
-    above = (interval.value, place - 0.22)
+    low, high = axes.get_xlim()
+    for value in values:
+        marker = "<" if value < low else ">" if value > high else "o"
+        size = 3 if marker == "o" else 7
+        inside = min(max(value, low), high)
+        axes.plot(inside, place, marker, ms=size, color=color, clip_on=False)
+    above = (min(max(interval.value, low + 0.15 * (high - low)), high), place - 0.22)
     axes.annotate(text, above, fontsize="x-small", ha="center", va="bottom")
 
 
 def draw_overoptimisation(rows: Rows, path: Path) -> None:
     """Draw learned reward and utility against the distance from the reference."""
     figure, panels = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
-    start = [row for row in rows if row.variant == REFERENCE]
-    curves = {few_name(beta): f"{FEW} labels, raw, beta {beta:g}" for beta in BETAS}
+    start = last(rows, REFERENCE)
+    utility = {row.seed: row.utility for row in start}
+
+    def gain(row: PreferenceRow) -> float:
+        return row.utility - utility[row.seed]
+
+    seen = "observation + action"
+    curves = {few_name(beta): f"{FEW} labels, {seen}, beta {beta:g}" for beta in BETAS}
     curves[FULL] = f"{LABELS} labels in rounds, named measures, beta {BETA:g}"
     for index, (name, label) in enumerate(curves.items()):
         curve = [row for row in rows if row.variant == name]
@@ -193,9 +209,9 @@ def draw_overoptimisation(rows: Rows, path: Path) -> None:
         if curve:
             color = f"C{index}"
             _curve(panels[0], curve, _learned, style, color, label)
-            _curve(panels[1], start + curve, _utility, style, color, label)
+            _curve(panels[1], start + curve, gain, style, color, label)
     panels[0].set_title("what the model says: learned reward per step")
-    panels[1].set_title("what the labeller wants: utility per step")
+    panels[1].set_title("what the labeller wants: gain in utility per step")
     for axes in panels:
         axes.set_xlabel("sqrt(KL from the reference) [nat$^{1/2}$ per step]")
         axes.set_xlim(left=0.0)

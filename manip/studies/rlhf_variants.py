@@ -35,7 +35,10 @@ BETA = 0.01
 """Weight of the divergence from the reference, beside rewards of standard deviation
 0.1."""
 
-BETAS = (0.0, 0.1)
+CLOSER = 0.1
+"""A larger weight, for reward models that know less."""
+
+BETAS = (0.0, CLOSER)
 """Weights that the part `overoptimisation` compares."""
 
 STAGES = 3
@@ -145,7 +148,9 @@ class Variants:
     def _inputs(self) -> Iterator[Variant]:
         yield self._true()
         yield self._ppo(labels_name(LABELS, True), self._rounds(LABELS))
-        yield self._ppo(raw_name(), self._rounds(OUTSIDE, inputs=RAW))
+        for beta in (BETA, CLOSER):
+            labels = self._rounds(OUTSIDE, inputs=RAW)
+            yield self._ppo(raw_name(beta), labels, beta)
 
     def _labellers(self) -> Iterator[Variant]:
         yield self._true()
@@ -230,6 +235,7 @@ def few_name(beta: float) -> str:
     return f"{FULL}, {FEW} raw, beta {beta:g}"
 
 
-def raw_name() -> str:
+def raw_name(beta: float) -> str:
     """Name of PPO-KL whose reward model sees observation and action."""
-    return f"{FULL}, {OUTSIDE} raw"
+    name = f"{FULL}, {OUTSIDE} raw"
+    return name if beta == BETA else f"{name}, beta {beta:g}"
