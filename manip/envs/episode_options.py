@@ -45,7 +45,7 @@ class EpisodeOptions:
         check_purpose(self.purpose)
         check_cameras(self.cameras)
         if check_looks(self.looks).groups and not check_cameras(self.cameras).names:
-            raise UserError("looks change pictures only: name cameras, too")
+            raise UserError("looks change images only: name cameras, too")
 
     def refuse_looks(self, library: str) -> None:
         """Raise `UserError` if looks vary, which another library does not draw."""

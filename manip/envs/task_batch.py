@@ -49,7 +49,7 @@ class TaskBatch(FaultRecorder, ABC):
     Attributes:
         observation_spec: names, shapes and roles of the observation's parts, cameras
             last.
-        cameras: the cameras whose pictures are observed.
+        cameras: the cameras whose images are observed.
         reward_weights: term -> weight, as paid.
         reward_names: names of the terms, in order.
         measure_names: names of the visible measures, in order.

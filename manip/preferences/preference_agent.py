@@ -60,6 +60,9 @@ class PreferenceAgent(Agent):
     def waiting(self) -> str:
         """Have clips compared and learn a new reward, if it is time.
 
+        Returns:
+            How many answers of people are missing, and how to give them; empty if none.
+
         Raises:
             UserError: there are too few clips, or the folder's files do not fit.
         """

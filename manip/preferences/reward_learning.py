@@ -113,8 +113,8 @@ def learn_reward(
 
     Args:
         seed: of weights, held-out pairs and their order.
-        standard: [C, L, F] clips over which the reward shall have mean 0 and standard
-            deviation 1; the reward is from 0 to 1 without them.
+        standard: [C, L, F] clips over which the reward gets mean 0 and standard
+            deviation `STANDARD` (see reward_network); without them it is from 0 to 1.
     """
     generator = generator_of(*seed)
     network = RewardNetwork(len(card.names), card.members, card.hidden, generator)

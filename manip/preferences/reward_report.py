@@ -17,7 +17,7 @@ from manip.preferences.comparisons import valid_comparisons
 from manip.preferences.label_options import Inputs
 from manip.preferences.reward_fit import logits
 from manip.preferences.reward_learning import ClipReader, generator_of, learn_reward
-from manip.preferences.reward_model import RewardCard, RewardModel, input_names
+from manip.preferences.reward_model import HIDDEN, RewardCard, RewardModel, input_names
 
 EDGES = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 """Bounds of the predicted chances in a table of calibration."""
@@ -111,7 +111,7 @@ def _card(clip: Clip, inputs: Inputs, members: int) -> RewardCard:
         robot=clip.header.robot,
         inputs=inputs,
         names=input_names(inputs, clip.header.measure_names, *clip.widths),
-        hidden=[64, 64],
+        hidden=HIDDEN,
         members=members,
         clip_steps=clip.steps,
     )

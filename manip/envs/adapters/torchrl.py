@@ -93,7 +93,7 @@ class TaskEnv(EnvBase):
         )
 
     def parts(self, tensordict: TensorDictBase) -> dict[str, torch.Tensor]:
-        """Part name -> view [..., k] of the joined observation, or pictures."""
+        """Part name -> view [..., k] of the joined observation, or images."""
         pictures = {
             part.name: tensordict[part.name] for part in self.batch.cameras.parts
         }
