@@ -1,5 +1,6 @@
 """Runs with preferences: rounds of labels, people's answers, exact resuming."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
@@ -18,7 +19,7 @@ from training_runs import (
 
 from manip.envs.backends import native_batch
 from manip.errors import DamagedError, UserError
-from manip.io.json_lines import read_lines
+from manip.io.json_lines import append_lines, read_lines
 from manip.io.yaml_files import dump_yaml
 from manip.preferences import label_folder
 from manip.preferences.clips import load_clip, save_clip
@@ -271,6 +272,24 @@ def test_algorithms_of_preferences_need_a_folder(algo: str, tmp_path: Path) -> N
     config = from_dict({"task": "Reach", "algo": algo, "out": str(tmp_path / "run")})
     with pytest.raises(UserError, match="give a folder for them with --preferences"):
         Trainer(config, print, None, Event())
+
+
+def test_a_file_is_no_folder_of_preferences(tmp_path: Path) -> None:
+    (tmp_path / "labels").write_text("")
+    with pytest.raises(UserError, match="--preferences .*labels is not a folder"):
+        new_trainer(config_of(tmp_path))
+
+
+@pytest.mark.parametrize("name", ["comparisons", "queries", "rounds"])
+def test_a_folder_whose_files_cannot_be_read_is_refused_before_the_run(
+    name: str, tmp_path: Path
+) -> None:
+    (tmp_path / "labels").mkdir()
+    os.mkfifo(tmp_path / f"labels/{name}.jsonl")
+    with pytest.raises(UserError, match=rf"{name}\.jsonl is no regular file"):
+        LabelFolder(tmp_path / "labels", "run").check()
+    with pytest.raises(UserError, match="is no regular file"):
+        append_lines(tmp_path / f"labels/{name}.jsonl", [])
 
 
 def test_answers_to_other_clips_are_refused_before_the_run(tmp_path: Path) -> None:

@@ -35,6 +35,17 @@ class LabelFolder:
     def __init__(self, folder: Path, run: str) -> None:
         self.folder, self._run = folder, run
 
+    def check(self) -> None:
+        """Read all files, before a run that needs them.
+
+        Raises:
+            UserError: one is no regular file.
+            DamagedError: one is damaged.
+        """
+        read_pairs(self.folder)
+        read_comparisons(self.folder)
+        read_lines(self.folder / ROUNDS)
+
     def pairs(self, number: int) -> list[Pair]:
         """The pairs that the run asked for in a round."""
         pairs = read_pairs(self.folder)

@@ -56,6 +56,7 @@ class Rounds:
             UserError: one is of another task, arm, length or other measures.
             DamagedError: a file of the folder is damaged.
         """
+        self.folder.check()
         self._reader.read(self.folder.present())
 
     def due(self, number: int, steps: int) -> bool:

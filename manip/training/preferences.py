@@ -11,6 +11,7 @@ from manip.envs.external_task import ExternalTask
 from manip.envs.task_batch import TaskBatch
 from manip.envs.task_registry import load_task
 from manip.errors import UserError
+from manip.io.output_paths import check_output_folder
 from manip.preferences.clip_pool import ClipPool
 from manip.preferences.clip_source import ClipSource, not_recordable
 from manip.preferences.label_folder import LabelFolder
@@ -45,6 +46,7 @@ def check_preferences(config: TrainConfig) -> None:
                 "with --preferences"
             )
         return
+    check_output_folder(config.preferences, "--preferences")
     if isinstance(load_task(config.task), ExternalTask):
         raise not_recordable(config.task)
     if getattr(config.agent, "reference", "") is None and algorithm.needs_preferences:
