@@ -276,7 +276,7 @@ def test_algorithms_of_preferences_need_a_folder(algo: str, tmp_path: Path) -> N
 
 def test_a_file_is_no_folder_of_preferences(tmp_path: Path) -> None:
     (tmp_path / "labels").write_text("")
-    with pytest.raises(UserError, match="--preferences .*labels is not a folder"):
+    with pytest.raises(UserError, match=r"--preferences .*labels is not a folder"):
         new_trainer(config_of(tmp_path))
 
 
