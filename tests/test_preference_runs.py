@@ -274,6 +274,12 @@ def test_algorithms_of_preferences_need_a_folder(algo: str, tmp_path: Path) -> N
         Trainer(config, print, None, Event())
 
 
+def test_labels_need_a_folder_of_preferences(tmp_path: Path) -> None:
+    config = tiny("sac", tmp_path / "run", labels=LABELS)
+    with pytest.raises(UserError, match="--labels has no effect without --preferences"):
+        new_trainer(config)
+
+
 def test_a_file_is_no_folder_of_preferences(tmp_path: Path) -> None:
     (tmp_path / "labels").write_text("")
     with pytest.raises(UserError, match=r"--preferences .*labels is not a folder"):
