@@ -7,21 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from clip_files import cut_all, recorded
 from torch import Tensor
 
 from manip.agents.compared_clips import ComparedClips
 from manip.errors import DamagedError, UserError
 from manip.io.tensor_trees import load_tree, save_tree
-from manip.preferences.clips import save_clip
-from manip.preferences.comparisons import append_comparison
 from manip.preferences.queries import choose_pairs, disagreement, random_pairs
 from manip.preferences.reward_fit import FitOptions, evaluate, fit, logits, losses
 from manip.preferences.reward_learning import generator_of, learn_reward
 from manip.preferences.reward_model import RewardCard, RewardModel, load_reward_model
 from manip.preferences.reward_network import RewardNetwork
-from manip.preferences.reward_report import report
-from manip.programs import reward
 
 WIDTH, LENGTH = 4, 10
 CARD = RewardCard(
@@ -228,16 +223,3 @@ def test_pairs_on_which_the_members_disagree_most_are_chosen() -> None:
         chances = (sums[:, left] - sums[:, right]).sigmoid()
         found = disagreement(net, inputs, torch.tensor([[left, right]]))
         assert found.item() == pytest.approx(chances.std(correction=0).item())
-
-
-def test_a_report_needs_answers_that_were_not_skipped(tmp_path: Path) -> None:
-    clips = [save_clip(tmp_path, clip) for clip in cut_all(*recorded("Lift"))[:6]]
-    for answer, right in zip(("left", "skip", "skip"), clips[1:], strict=False):
-        append_comparison(tmp_path, "Ada", (clips[0], right), answer)
-    with pytest.raises(UserError, match="only 1 of the 3 comparisons"):
-        report(tmp_path, "measures", members=1, folds=3, seed=0)
-
-
-def test_a_negative_seed_of_the_report_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="--seed must be at least 0"):
-        reward.main([str(tmp_path), "--seed", "-1"])
