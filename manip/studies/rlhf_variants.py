@@ -129,14 +129,12 @@ class Variants:
         yield self._variant("clone episodes", "clone-best", episodes, rounds)
         yield self._once("dpo, first", "dpo", {}, first)
         yield self._once("clone winners, first", "clone-best", winners, first)
-        yield self._variant("dpo", "dpo", {}, rounds)
-        yield self._variant("clone winners", "clone-best", winners, rounds)
 
     def _overoptimisation(self) -> Iterator[Variant]:
         for beta in BETAS:
             few = _first(FEW, inputs=RAW)
             yield self._ppo(few_name(beta), few, beta, STAGES)
-        yield self._ppo(f"{FULL}, beta 0", self._rounds(LABELS), 0.0, STAGES)
+        yield self._ppo(labels_name(LABELS, True), self._rounds(LABELS))
 
     def _labels(self) -> Iterator[Variant]:
         for count in COUNTS:
@@ -146,7 +144,7 @@ class Variants:
 
     def _inputs(self) -> Iterator[Variant]:
         yield self._true()
-        yield self._ppo(labels_name(OUTSIDE, True), self._rounds(OUTSIDE))
+        yield self._ppo(labels_name(LABELS, True), self._rounds(LABELS))
         yield self._ppo(raw_name(), self._rounds(OUTSIDE, inputs=RAW))
 
     def _labellers(self) -> Iterator[Variant]:
