@@ -346,6 +346,6 @@ def test_a_run_goes_on_with_no_other_folder_than_its_own(tmp_path: Path) -> None
     assert read_lines(tmp_path / "labels/rounds.jsonl")
     (tmp_path / "labels").rename(tmp_path / "moved")
     with pytest.raises(UserError, match="does not hold the comparisons of round 0"):
-        new_trainer(replace(config, resume=True))
+        new_trainer(replace(config, resume=True)).run()
     moved = replace(config, resume=True, preferences=tmp_path / "moved")
     assert new_trainer(moved).run()
