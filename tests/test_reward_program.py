@@ -49,6 +49,7 @@ def test_a_reward_is_learned_judged_and_drawn(folder: Path, capsys) -> None:
     ("arguments", "message"),
     [
         (["--folds", "1"], "--folds must be"),
+        (["--seed", "-1"], "--seed must be at least 0"),
         (["--plot", "reward.xyz"], "unknown file format '.xyz'"),
         ([], "holds 0 comparisons: at least 5 are needed"),
     ],
@@ -56,3 +57,16 @@ def test_a_reward_is_learned_judged_and_drawn(folder: Path, capsys) -> None:
 def test_mistakes_are_refused(arguments, message: str, tmp_path: Path) -> None:
     with pytest.raises(UserError, match=message):
         reward.main([str(tmp_path), *arguments])
+
+
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"there is no folder .*nowhere"):
+        reward.main([str(tmp_path / "nowhere")])
+
+
+def test_skipped_pairs_do_not_count(tmp_path: Path) -> None:
+    clips = [save_clip(tmp_path, clip) for clip in cut_all(*recorded("Lift"))[:4]]
+    for answer, right in zip(("left", "skip", "skip"), clips[1:], strict=True):
+        append_comparison(tmp_path, "Ada", (clips[0], right), answer)
+    with pytest.raises(UserError, match="only 1 of the 3 comparisons"):
+        reward.main([str(tmp_path), "--folds", "3"])

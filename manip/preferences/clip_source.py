@@ -24,11 +24,13 @@ class ClipSource:
         header: of its clips, with env, episode and step 0.
         first_env: number of the batch's first environment.
         nq: length of qpos, the first columns of a state row.
+        widths: length of an observation and of an action.
     """
 
     header: ClipHeader
     first_env: int
     nq: int
+    widths: tuple[int, int]
 
     @classmethod
     def of(cls, batch: TaskBatch, task: str) -> "ClipSource":
@@ -55,4 +57,5 @@ class ClipSource:
             actor="",
             measure_names=batch.measure_names,
         )
-        return cls(header, batch.first_env, batch.scene.physics.nq)
+        widths = batch.observation_spec.dim, batch.action_dim
+        return cls(header, batch.first_env, batch.scene.physics.nq, widths)

@@ -81,6 +81,11 @@ class Clip:
         return len(self.action)
 
     @property
+    def widths(self) -> tuple[int, int]:
+        """D and A."""
+        return self.observation.shape[1], self.action.shape[1]
+
+    @property
     def reward(self) -> Array:
         """[T] float64, the task's reward of each step."""
         weights = np.array(list(self.header.reward_weights.values()))

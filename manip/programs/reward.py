@@ -10,6 +10,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from manip.errors import UserError, at_least
 from manip.evaluation.statistics import Rate
 from manip.io.output_paths import PLOT_FORMATS, check_output
 from manip.preferences.agreement import Repeats
@@ -50,6 +51,9 @@ def main(arguments: Sequence[str]) -> int:
     options = cli.parse(Reward, arguments, "manip reward")
     cli.check_range("--members", options.members, 1, 100)
     cli.check_range("--folds", options.folds, 2, 100)
+    at_least(0, "--seed", options.seed)
+    if not options.folder.is_dir():
+        raise UserError(f"there is no folder {options.folder}")
     figure = options.plot or options.folder / "reward.png"
     check_output(figure, "--plot", PLOT_FORMATS)
     torch.set_num_threads(1)  # the sums of several threads would differ

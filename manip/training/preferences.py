@@ -11,9 +11,11 @@ from manip.envs.external_task import ExternalTask
 from manip.envs.task_batch import TaskBatch
 from manip.envs.task_registry import load_task
 from manip.errors import UserError
+from manip.io.output_paths import check_output_folder
 from manip.preferences.clip_pool import ClipPool
 from manip.preferences.clip_source import ClipSource, not_recordable
 from manip.preferences.label_folder import LabelFolder
+from manip.preferences.label_options import LabelOptions
 from manip.preferences.label_rounds import Labeller, Rounds
 from manip.preferences.labellers import TasteCriterion, make_labeller
 from manip.preferences.preference_agent import PreferenceAgent
@@ -44,7 +46,13 @@ def check_preferences(config: TrainConfig) -> None:
                 f"{config.algo} learns from compared clips: give a folder for them "
                 "with --preferences"
             )
+        if config.labels != LabelOptions():
+            raise UserError(
+                "--labels has no effect without --preferences: name a folder for the "
+                "comparisons with --preferences, or leave out --labels"
+            )
         return
+    check_output_folder(config.preferences, "--preferences")
     if isinstance(load_task(config.task), ExternalTask):
         raise not_recordable(config.task)
     if getattr(config.agent, "reference", "") is None and algorithm.needs_preferences:
