@@ -200,8 +200,10 @@ def draw_overoptimisation(rows: Rows, path: Path) -> None:
     def gain(row: PreferenceRow) -> float:
         return row.utility - utility[row.seed]
 
-    seen = "observation + action"
-    curves = {few_name(beta): f"{FEW} labels, {seen}, beta {beta:g}" for beta in BETAS}
+    inputs = "observation + action"
+    curves = {
+        few_name(beta): f"{FEW} labels, {inputs}, beta {beta:g}" for beta in BETAS
+    }
     curves[FULL] = f"{LABELS} labels in rounds, named measures, beta {BETA:g}"
     for index, (name, label) in enumerate(curves.items()):
         curve = [row for row in rows if row.variant == name]
