@@ -1,4 +1,4 @@
-"""CameraConfig: cameras whose pictures are parts of an observation."""
+"""CameraConfig: cameras whose images are parts of an observation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,18 +9,18 @@ from manip.errors import UserError, check_choice, shown
 from manip.observation import ObservationPart
 
 Quality = Literal["exact", "lean"]
-"""exact: robosuite's own pictures, byte for byte. lean: cheaper to draw, for training;
+"""exact: robosuite's own images, byte for byte. lean: cheaper to draw, for training;
 see `manip.sim.scene_cameras`."""
 
 SMALLEST, LARGEST = 8, 1024
-"""Limits of the height and width of a picture [pixels]."""
+"""Limits of the height and width of an image [pixels]."""
 MOST_FRAMES = 16
-"""Largest number of stacked pictures."""
+"""Largest number of stacked images."""
 
 
 @dataclass(frozen=True)
 class CameraConfig:
-    """Cameras whose pictures are parts of the observation.
+    """Cameras whose images are parts of the observation.
 
     A part is uint8 [size, size, 3 * frames], RGB, bottom row first, as robosuite's
     camera observations are by default (macros.IMAGE_CONVENTION = "opengl").
@@ -29,8 +29,8 @@ class CameraConfig:
         names: cameras of the simulation, such as "agentview" and "robot0_eye_in_hand".
         size: height and width [pixels].
         quality: "exact" or "lean"; other libraries' environments draw exactly always.
-        frames: number of latest pictures that are given, along the channels, oldest
-            first. An episode begins with copies of its first picture.
+        frames: number of latest images that are given, along the channels, oldest
+            first (frame stack). An episode begins with copies of its first image.
 
     Raises:
         UserError: a name occurs twice, or a value is out of its range.
@@ -43,9 +43,9 @@ class CameraConfig:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "names", _checked_names(self.names))
-        _check_range("the size of a picture [pixels]", self.size, SMALLEST, LARGEST)
+        _check_range("the size of an image [pixels]", self.size, SMALLEST, LARGEST)
         _check_range("frames", self.frames, 1, MOST_FRAMES)
-        check_choice("picture quality", self.quality, get_args(Quality))
+        check_choice("image quality", self.quality, get_args(Quality))
 
     @property
     def parts(self) -> tuple[ObservationPart, ...]:
@@ -58,7 +58,7 @@ class CameraConfig:
 
 
 def part_name(camera: str) -> str:
-    """Name of the observation part that holds a camera's pictures."""
+    """Name of the observation part that holds a camera's images."""
     return f"{camera}_image"
 
 

@@ -1,6 +1,6 @@
-"""Looks: what varies in pictures from episode to episode.
+"""Looks: what varies in images from episode to episode.
 
-A look changes pictures only: colours, textures of the surroundings, lights, and poses
+A look changes images only: colours, textures of the surroundings, lights, and poses
 of cameras (domain randomisation: Tobin et al., 2017). Training draws a new look in
 every episode; fixed looks that training never draws test what was learned.
 """

@@ -10,7 +10,8 @@ from tensordict import TensorDictBase
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.task_registry import load_task
-from manip.preferences.clip_source import ClipSource, whole_clips
+from manip.preferences.clip_pool import cut_clips
+from manip.preferences.clip_source import ClipSource
 from manip.preferences.clips import Clip
 
 LENGTH = 8
@@ -37,10 +38,9 @@ def recorded(
 
 
 def cut_all(source: ClipSource, rollout: TensorDictBase) -> list[Clip]:
-    return [
-        source.cut(rollout, env_id, start, LENGTH, "expert")
-        for env_id, start in whole_clips(rollout, LENGTH)
-    ]
+    """Clips of LENGTH steps, environment by environment."""
+    clips = cut_clips(rollout, LENGTH, source, "expert")
+    return sorted(clips, key=lambda clip: (clip.header.env, clip.header.step))
 
 
 def with_measures(clip: Clip, step: int, **values: float) -> Clip:

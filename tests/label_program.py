@@ -5,7 +5,7 @@ import json
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,10 +39,11 @@ def make_folder(folder: Path, pairs: int, video: bytes) -> Path:
 
 @dataclass(frozen=True)
 class Address:
-    """Where a page is served, and its token."""
+    """Where a page is served, its token, and what kills its program."""
 
     port: int
     token: str
+    kill: Callable[[], None] | None = None
 
     @property
     def url(self) -> str:
@@ -112,8 +113,9 @@ def program(folder: Path, *options: str) -> Iterator[Address]:
     )
     assert process.stdout is not None
     try:
-        place, _, token = process.stdout.readline().strip().partition("/#")
-        yield Address(int(place.rpartition(":")[2]), token)
+        lines = (line.strip() for line in process.stdout)
+        place, _, token = next(line for line in lines if "/#" in line).partition("/#")
+        yield Address(int(place.rpartition(":")[2]), token, process.kill)
     finally:
         process.kill()
         process.wait()

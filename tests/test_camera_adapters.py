@@ -48,7 +48,7 @@ def test_gymnasiums_checker_passes_with_cameras() -> None:
 
 
 def test_mistakes_in_cameras_are_errors() -> None:
-    with pytest.raises(UserError, match="unknown picture quality 'best'"):
+    with pytest.raises(UserError, match="unknown image quality 'best'"):
         gymnasium.make("manip/Reach-v0", **WRIST | {"image_quality": "best"})
 
 

@@ -198,10 +198,10 @@ def test_lean_pictures_are_close_to_exact_ones(lift_scene: Scene) -> None:
         ({"names": "agentview"}, "must be a list, not 'agentview'"),
         ({"names": ("agentview", "agentview")}, "named twice: agentview"),
         ({"names": (1,)}, "must be text, not 1"),
-        ({"size": 4}, "size of a picture .* from 8 to 1024, not 4"),
+        ({"size": 4}, "size of an image .* from 8 to 1024, not 4"),
         ({"size": 64.0}, "from 8 to 1024, not 64.0"),
         ({"frames": 0}, "frames must be a whole number from 1 to 16, not 0"),
-        ({"quality": "best"}, "unknown picture quality 'best': .*exact, lean"),
+        ({"quality": "best"}, "unknown image quality 'best': .*exact, lean"),
     ],
 )
 def test_options_out_of_range_are_refused(options: dict, message: str) -> None:
@@ -373,7 +373,7 @@ def test_a_suite_has_three_looks_that_return(lift_scene: Scene) -> None:
     [
         ({"looks": 2.0}, "a strength from 0 to 1 .*, not 2.0"),
         ({"looks": "unsen"}, "unknown suite of looks 'unsen': did you mean 'unseen'"),
-        ({"looks": 0.5, "cameras": None}, "looks change pictures only"),
+        ({"looks": 0.5, "cameras": None}, "looks change images only"),
         ({"looks": 0.5, "backend": "stock"}, "choose the native backend for looks 0.5"),
     ],
 )

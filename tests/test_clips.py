@@ -16,7 +16,8 @@ from manip.errors import DamagedError, UserError
 from manip.io.tensor_trees import load_tree, save_tree
 from manip.preferences import clip_player
 from manip.preferences.clip_player import ClipPlayer
-from manip.preferences.clip_source import ClipSource, whole_clips
+from manip.preferences.clip_pool import cut_clips
+from manip.preferences.clip_source import ClipSource
 from manip.preferences.clips import (
     MOST_STEPS,
     Clip,
@@ -46,13 +47,18 @@ def clip() -> Clip:
 
 
 def test_clips_do_not_span_two_episodes(rollout) -> None:
-    _, steps = rollout
-    pieces = whole_clips(steps, LENGTH)
-    assert pieces.tolist() == [[env, start] for env in range(3) for start in (0, 8)]
-    assert whole_clips(steps, 4).tolist() == [
-        [env, start] for env in range(3) for start in (0, 4, 8, 12, 16, 20)
-    ]
-    assert len(whole_clips(steps, 21)) == 0
+    source, steps = rollout
+    eights = cut_clips(steps, 8, source, "expert")
+    assert _places(eights) == [(env, 0, step) for step in (0, 8) for env in range(3)]
+    fours = cut_clips(steps, 4, source, "expert")
+    first = [(env, 0, step) for step in (0, 4, 8, 12, 16) for env in range(3)]
+    assert _places(fours) == first + [(env, 1, 0) for env in range(3)]
+    assert not cut_clips(steps, 21, source, "expert")
+
+
+def _places(clips: list[Clip]) -> list[tuple[int, int, int]]:
+    headers = [clip.header for clip in clips]
+    return [(header.env, header.episode, header.step) for header in headers]
 
 
 def test_a_clip_says_where_it_comes_from(clip: Clip) -> None:

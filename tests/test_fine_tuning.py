@@ -64,6 +64,7 @@ def log_prob(gaussian: Any, clip: Tensor) -> Tensor:
 
 @pytest.mark.parametrize("squash", [False, True])
 def test_the_loss_of_dpo_by_hand(squash: bool, tmp_path: Path) -> None:
+    torch.manual_seed(0)
     agent = DPO(DPOConfig(alpha=0.3, **options(tmp_path, squash)), SPACES)
     for parameter in agent.gaussian.parameters():
         parameter.data += 0.05 * torch.randn(parameter.shape)
@@ -75,9 +76,16 @@ def test_the_loss_of_dpo_by_hand(squash: bool, tmp_path: Path) -> None:
             log_prob(agent.gaussian, clip) - log_prob(agent.reference, clip)
             for clip in (left, right)
         ]
-        chance = torch.sigmoid(0.3 * (ratios[0] - ratios[1]))
-        expected.append(-y * chance.log() - (1 - y) * (1 - chance).log())
-    torch.testing.assert_close(agent.loss(pairs), torch.stack(expected).mean())
+        better, worse = (torch.sigmoid(0.3 * d) for d in _both(*ratios))
+        expected.append(-y * better.log() - (1 - y) * worse.log())
+    mean = torch.stack(expected).mean().float()
+    torch.testing.assert_close(agent.loss(pairs), mean, rtol=1e-4, atol=1e-4)
+
+
+def _both(left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
+    """The difference and its negative, in numbers that do not round to 0 or 1."""
+    difference = (left - right).double()
+    return difference, -difference
 
 
 def test_dpo_begins_without_preference_and_learns_the_answers(tmp_path: Path) -> None:

@@ -92,6 +92,7 @@ def test_yaml_is_read_as_text(tmp_path: Path) -> None:
         ("--seed -1", "--seed takes numbers or ranges such as 0:5, not '-1'"),
         ("--seed", "--seed takes numbers or ranges such as 0:5, not 'true'"),
         ("--resume", "--resume cannot be an option of a grid"),
+        ("--preferences a", "--preferences cannot be an option of a grid"),
         ("--algo sac sax", "unknown algorithm 'sax': did you mean 'sac'"),
     ],
 )

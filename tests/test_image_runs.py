@@ -89,6 +89,12 @@ def options(folder: Path, **changes: Any) -> TrainConfig:
     return from_dict(values | changes)
 
 
+def state_options(folder: Path, **changes: Any) -> TrainConfig:
+    return options(
+        folder, **{"observe": "state", "image_size": 32, "frames": 1} | changes
+    )
+
+
 def test_a_run_from_cameras_resumes_bit_for_bit_and_its_policy_is_usable(
     tmp_path: Path,
 ) -> None:
@@ -111,7 +117,7 @@ def test_a_run_from_cameras_resumes_bit_for_bit_and_its_policy_is_usable(
 
 def test_a_teacher_labels_every_state_with_its_own_action(tmp_path: Path) -> None:
     teacher = teacher_in(tmp_path / "teacher")
-    (env,) = training_envs(options(tmp_path, observe="state"))
+    (env,) = training_envs(state_options(tmp_path))
     state = env.reset()
     for _ in range(3):
         expected = teacher(env.parts(state))
@@ -133,12 +139,12 @@ def test_a_teacher_labels_every_state_with_its_own_action(tmp_path: Path) -> Non
 def test_a_teacher_that_does_not_fit_is_refused(changes, message, tmp_path) -> None:
     teacher_in(tmp_path / "teacher")
     with pytest.raises(UserError, match=message):
-        training_envs(options(tmp_path, observe="state", **changes))
+        training_envs(state_options(tmp_path, **changes))
 
 
 def test_a_teacher_of_another_action_space_is_imitated_in_it(tmp_path: Path) -> None:
     teacher_in(tmp_path / "teacher", controller="JOINT_POSITION")
-    config = options(tmp_path, observe="state", controller="JOINT_POSITION")
+    config = state_options(tmp_path, controller="JOINT_POSITION")
     assert training_envs(config)
     with pytest.raises(UserError, match=r"JOINT_POSITION: .*trained policy by --teach"):
         training_envs(replace(config, teacher=None))
@@ -155,6 +161,22 @@ def test_a_teacher_of_another_action_space_is_imitated_in_it(tmp_path: Path) -> 
 def test_cameras_that_a_run_cannot_see_are_refused(changes, message, tmp_path) -> None:
     with pytest.raises(UserError, match=message):
         training_envs(options(tmp_path, **{"teacher": None} | changes))
+
+
+@pytest.mark.parametrize(
+    ("changes", "option"),
+    [
+        ({"cameras": ["agentview"]}, "cameras"),
+        ({"parts": ["joint_pos"]}, "parts"),
+        ({"image_size": 64}, "image-size"),
+        ({"looks": 0.5}, "looks"),
+    ],
+)
+def test_options_of_images_need_a_policy_that_sees_some(
+    changes: dict[str, Any], option: str, tmp_path: Path
+) -> None:
+    with pytest.raises(UserError, match=f"--{option} has no effect .* sees the state"):
+        training_envs(state_options(tmp_path, teacher=None, **changes))
 
 
 def test_images_count_in_the_memory_that_a_run_needs(tmp_path: Path) -> None:

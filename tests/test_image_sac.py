@@ -192,7 +192,7 @@ def test_a_run_resumes_bit_for_bit_and_its_policy_starts_another(
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
-def test_learns_to_go_to_the_goal_from_pictures(seed: int) -> None:
+def test_learns_to_go_to_the_goal_from_images(seed: int) -> None:
     agent = image_agent(seed=seed)
     learn(agent, Rollout(PicturedPoints([20] * 16, seed)), rollouts=12)
     assert mean_return(agent) > 15.5

@@ -46,8 +46,11 @@ def states(count: int = 64) -> torch.Tensor:
 @pytest.mark.parametrize(
     ("algo", "given"),
     [
-        *(("sac", "bc"), ("sac", "sac"), ("td3", "bc"), ("bc", "sac")),
-        *(("ppo", "bc"), ("ppo", "ppo"), ("trpo", "bc"), ("a2c", "ppo")),
+        *(("sac", "bc"), ("td3", "bc"), ("ppo", "bc"), ("trpo", "bc")),
+        *(
+            pytest.param(*pair, marks=pytest.mark.slow)
+            for pair in (("sac", "sac"), ("bc", "sac"), ("ppo", "ppo"), ("a2c", "ppo"))
+        ),
     ],
 )
 def test_the_initial_actor_acts_as_the_policy(algo: str, given: str, tmp_path) -> None:
@@ -208,7 +211,10 @@ def test_only_the_critics_learn_at_first(config: Any) -> None:
         assert warming_up != any("actor" in name for name in moved)
 
 
-@pytest.mark.parametrize(("algo", "given"), [("sac", "bc"), ("ppo", "bc")])
+@pytest.mark.parametrize(
+    ("algo", "given"),
+    [("sac", "bc"), pytest.param("ppo", "bc", marks=pytest.mark.slow)],
+)
 def test_a_run_resumes_exactly_without_its_initial_policy(
     algo: str, given: str, tmp_path: Path
 ) -> None:

@@ -27,7 +27,7 @@ def test_the_question_is_about_the_task_and_the_taste(tmp_path: Path) -> None:
         ({"port": 70_000}, "--port must be at most 65535"),
         ({"repeats": 0.6}, "--repeats must be from 0 to 0.5"),
         ({"repeats": float("nan")}, "--repeats must be from 0 to 0.5"),
-        ({"labeller": " "}, "name has 1 to 80"),
+        ({"labeller": " "}, "name must have 1 to 80"),
     ],
 )
 def test_options_out_of_range(tmp_path: Path, options: dict, message: str) -> None:

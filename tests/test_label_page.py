@@ -1,11 +1,14 @@
 """The labelling page through HTTP: a real process serves it."""
 
 import contextlib
+import http.client
 import json
 import socket
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from random import Random
 from urllib.parse import quote
 
 import pytest
@@ -178,6 +181,27 @@ def test_no_answer_is_lost_when_it_is_killed(tmp_path: Path) -> None:
         assert again.view() == after
         assert again.token != page.token
     assert [each.answer for each in valid_comparisons(folder)] == answers
+
+
+@pytest.mark.slow
+def test_killed_twenty_times_while_labelling_no_answer_is_lost(tmp_path: Path) -> None:
+    folder, random = make_folder(tmp_path, 2000, VIDEO), Random(0)
+    confirmed: list[frozenset[str]] = []
+    for kills in range(1, 21):
+        with program(folder, "--repeats", "0") as page:
+            killer = threading.Timer(random.uniform(0, 0.2), page.kill)
+            with contextlib.suppress(OSError, http.client.HTTPException):
+                while True:
+                    pair = page.view()["pair"]
+                    page.answer("left")
+                    confirmed.append(frozenset((pair["left"], pair["right"])))
+                    if len(confirmed) >= 2 * kills and not killer.ident:
+                        killer.start()
+    stored = [each.pair for each in valid_comparisons(folder)]
+    assert len(confirmed) >= 40
+    assert set(confirmed) <= set(stored)
+    assert len(stored) == len(set(stored))
+    assert len(stored) - len(confirmed) <= 20  # written, and killed before the reply
 
 
 @pytest.mark.slow

@@ -8,6 +8,11 @@ from toy import SPACES, Points, make_agent
 from manip.agents.a2c import A2CConfig
 from manip.agents.a3c import A3CConfig
 from manip.agents.bc import BCConfig
+from manip.agents.clone_best import CloneBestConfig
+from manip.agents.dpo import DPOConfig
+from manip.agents.gaussian_bc import GaussianBCConfig
+from manip.agents.pebble import PEBBLEConfig
+from manip.agents.sac import SACConfig
 from manip.errors import UserError
 from manip.training.collector import Rollout
 from manip.training.nan_guard import NanGuard
@@ -16,10 +21,13 @@ QUICK = {name: value for name, value in vars(toy).items() if name.startswith("QU
 
 
 def test_every_algorithm_is_checked() -> None:
-    without = {A3CConfig, BCConfig}
+    supervised = {BCConfig, GaussianBCConfig, CloneBestConfig, DPOConfig}
+    subclasses = {A3CConfig: A2CConfig, PEBBLEConfig: SACConfig}
     shipped = toy.ALGORITHMS
-    assert {type(config) for config in QUICK.values()} == {*shipped} - without
-    assert issubclass(shipped[A3CConfig], shipped[A2CConfig])
+    checked = {type(config) for config in QUICK.values()}
+    assert checked == {*shipped} - supervised - {*subclasses}
+    for algorithm, base in subclasses.items():
+        assert issubclass(shipped[algorithm], shipped[base])
 
 
 @pytest.mark.parametrize("config", QUICK.values(), ids=QUICK)

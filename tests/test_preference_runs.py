@@ -1,12 +1,14 @@
 """Runs with preferences: rounds of labels, people's answers, exact resuming."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
 from typing import Any
 
+import numpy as np
 import pytest
-from clip_files import cut_all, recorded
+from clip_files import LENGTH, cut_all, recorded
 from training_runs import (
     assert_equal_runs,
     new_trainer,
@@ -17,7 +19,7 @@ from training_runs import (
 
 from manip.envs.backends import native_batch
 from manip.errors import DamagedError, UserError
-from manip.io.json_lines import read_lines
+from manip.io.json_lines import append_lines, read_lines
 from manip.io.yaml_files import dump_yaml
 from manip.preferences import label_folder
 from manip.preferences.clips import load_clip, save_clip
@@ -272,6 +274,30 @@ def test_algorithms_of_preferences_need_a_folder(algo: str, tmp_path: Path) -> N
         Trainer(config, print, None, Event())
 
 
+def test_labels_need_a_folder_of_preferences(tmp_path: Path) -> None:
+    config = tiny("sac", tmp_path / "run", labels=LABELS)
+    with pytest.raises(UserError, match="--labels has no effect without --preferences"):
+        new_trainer(config)
+
+
+def test_a_file_is_no_folder_of_preferences(tmp_path: Path) -> None:
+    (tmp_path / "labels").write_text("")
+    with pytest.raises(UserError, match=r"--preferences .*labels is not a folder"):
+        new_trainer(config_of(tmp_path))
+
+
+@pytest.mark.parametrize("name", ["comparisons", "queries", "rounds"])
+def test_a_folder_whose_files_cannot_be_read_is_refused_before_the_run(
+    name: str, tmp_path: Path
+) -> None:
+    (tmp_path / "labels").mkdir()
+    os.mkfifo(tmp_path / f"labels/{name}.jsonl")
+    with pytest.raises(UserError, match=rf"{name}\.jsonl is no regular file"):
+        LabelFolder(tmp_path / "labels", "run").check()
+    with pytest.raises(UserError, match="is no regular file"):
+        append_lines(tmp_path / f"labels/{name}.jsonl", [])
+
+
 def test_answers_to_other_clips_are_refused_before_the_run(tmp_path: Path) -> None:
     folder = tmp_path / "labels"
     clips = cut_all(*recorded("Lift"))[:2]
@@ -280,9 +306,46 @@ def test_answers_to_other_clips_are_refused_before_the_run(tmp_path: Path) -> No
         new_trainer(config_of(tmp_path))
 
 
+@pytest.mark.parametrize(
+    ("header", "columns", "message"),
+    [
+        ({"control_freq": 10}, 0, "has robot Panda OSC_POSE 10 Hz, not Panda OSC_POSE"),
+        ({}, 1, "has observation and action of"),
+    ],
+)
+def test_clips_of_another_controller_or_observation_are_refused(
+    header: dict[str, Any], columns: int, message: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "labels"
+    clips = [
+        replace(
+            clip,
+            header=replace(clip.header, **header),
+            observation=np.pad(clip.observation, ((0, 0), (0, columns))),
+        )
+        for clip in cut_all(*recorded("Reach"))[:2]
+    ]
+    append_comparison(folder, "Ada", tuple(save_clip(folder, c) for c in clips), "left")
+    with pytest.raises(UserError, match=message):
+        new_trainer(config_of(tmp_path, labels={"clip_steps": LENGTH}))
+
+
 def test_a_taste_of_other_measures_is_refused_before_the_run(tmp_path: Path) -> None:
     taste = tmp_path / "mine.yaml"
     term = {"measure": "object_height", "above": 0.1, "full": 0.1, "weight": 1.0}
     taste.write_text(dump_yaml({"words": "Low.", "terms": [term]}))
     with pytest.raises(UserError, match="unknown measure 'object_height'"):
         new_trainer(config_of(tmp_path, labels={"taste": str(taste)}))
+
+
+def test_a_run_goes_on_with_no_other_folder_than_its_own(tmp_path: Path) -> None:
+    config = config_of(tmp_path)
+    trainer = new_trainer(config)
+    stop_after(trainer, 3)
+    assert not trainer.run()
+    assert read_lines(tmp_path / "labels/rounds.jsonl")
+    (tmp_path / "labels").rename(tmp_path / "moved")
+    with pytest.raises(UserError, match="does not hold the comparisons of round 0"):
+        new_trainer(replace(config, resume=True)).run()
+    moved = replace(config, resume=True, preferences=tmp_path / "moved")
+    assert new_trainer(moved).run()

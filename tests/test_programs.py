@@ -217,6 +217,7 @@ def test_every_program_is_a_script() -> None:
 @pytest.mark.parametrize("script", sorted(SCRIPTS.values()), ids=sorted(SCRIPTS))
 def test_every_script_explains_itself(script: Path, monkeypatch, capsys) -> None:
     monkeypatch.setattr(sys, "argv", [str(script), "--help"])
+    monkeypatch.syspath_prepend(str(script.parent))  # as `python script` does
     with pytest.raises(SystemExit, match="0"):
         runpy.run_path(str(script), run_name="__main__")
     assert "usage:" in capsys.readouterr().out

@@ -14,7 +14,13 @@ from manip.errors import UserError
 from manip.programs import train
 from manip.training.build import build_agent, evaluation_env, training_envs
 from manip.training.config import from_dict, to_dict
-from manip.training.recipes import recipe, recipe_choice, recipe_names, recipes
+from manip.training.recipes import (
+    recipe,
+    recipe_choice,
+    recipe_names,
+    recipes,
+    with_labels,
+)
 
 
 def test_every_recipe_loads_for_the_task_and_algorithm_it_is_named_after() -> None:
@@ -122,3 +128,12 @@ def test_a_rollout_must_fit_the_replay_buffer(tmp_path: Path) -> None:
     config = tiny("sac", tmp_path, agent={"buffer_size": 10, "rollout_length": 8})
     with pytest.raises(UserError, match=r"10 is smaller than a rollout of 4 env.* x 8"):
         training_envs(config)
+
+
+def test_options_for_labels_have_the_types_of_options_and_fit_the_controller() -> None:
+    scales = [
+        with_labels(recipe("Lift", "pebble", controller=c), Path("labels")).agent
+        for c in ("OSC_POSE", "JOINT_POSITION")
+    ]
+    assert [len(agent.action_scale) for agent in scales] == [7, 0]
+    assert all(type(agent.action_scale) is tuple for agent in scales)

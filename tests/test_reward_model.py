@@ -139,6 +139,14 @@ def test_the_paid_reward_is_standard_over_the_clips_it_is_made_standard_by() -> 
     assert paid.std(correction=0).item() == pytest.approx(0.1, abs=1e-4)
 
 
+def test_inputs_that_hardly_vary_are_not_blown_up() -> None:
+    net, clips = network(), draw(50, LENGTH, WIDTH)
+    clips[..., 2] *= 1e-3
+    net.normalise_by(clips)
+    assert net.std[2].item() == pytest.approx(0.05)
+    torch.testing.assert_close(net.std[:2], clips.std((0, 1), correction=0)[:2])
+
+
 def test_a_model_comes_back_from_its_file(tmp_path: Path) -> None:
     model = learn_reward(CARD, compared(40), (0,))
     model.save(tmp_path / "model.safetensors")

@@ -16,7 +16,14 @@ from manip.preferences.taste_reward import SCALE, TasteReward
 from manip.preferences.tastes import Taste, TasteTerm
 from manip.rewards.reward_function import EnvironmentReward
 from manip.studies.rlhf import PreferenceRow, PreferenceStudy
-from manip.studies.rlhf_figures import FIGURES, INPUTS, LABELLERS, METHODS, gain
+from manip.studies.rlhf_figures import (
+    FIGURES,
+    INPUTS,
+    LABELLERS,
+    METHODS,
+    gains,
+    share_of_gain,
+)
 from manip.studies.rlhf_scores import Scorer, divergence
 from manip.studies.rlhf_variants import (
     FULL,
@@ -127,16 +134,17 @@ def test_each_part_has_a_figure(part: Part, seeds: int, tmp_path: Path) -> None:
     assert (tmp_path / "figure.png").stat().st_size > 10_000
 
 
-def test_gain_is_relative_to_the_known_taste_of_the_same_seed() -> None:
-    """Seed 0: 0.2 to 0.6, seed 1: 0.1 to 0.2; a run in the middle gains a half."""
-    utilities = {0: (0.2, 0.6, 0.4), 1: (0.1, 0.2, 0.15)}
+def test_gain_is_relative_to_the_reference_of_the_same_seed() -> None:
+    """Gains of the known taste 0.4 and 0.2, of the other runs 0.3 and 0.0: a half."""
+    utilities = {REFERENCE: (0.2, 0.1), TRUE: (0.6, 0.3), FULL: (0.5, 0.1)}
     rows = [
         replace(row(variant, seed), utility=utility)
-        for seed, values in utilities.items()
-        for variant, utility in zip((REFERENCE, TRUE, FULL), values, strict=True)
+        for variant, values in utilities.items()
+        for seed, utility in enumerate(values)
     ]
-    shares = [gain(rows)(each) for each in rows]
-    assert shares == pytest.approx(2 * [0.0, 100.0, 50.0])
+    assert gains(rows, FULL) == pytest.approx([0.3, 0.0])
+    assert share_of_gain(rows, FULL) == pytest.approx(50.0)
+    assert isnan(share_of_gain(rows[:2], REFERENCE))
 
 
 def tiny(variant: Variant, steps: int, stages: int) -> Variant:
@@ -175,6 +183,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> PreferenceStudy:
     return PreferenceStudy(small, (0,), Scorer("Lift", "gentle", 2, 16), folder)
 
 
+@pytest.mark.slow
 def test_a_study_trains_scores_and_goes_on(study: PreferenceStudy) -> None:
     rows = study.rows()
     names = [(row.variant, row.env_steps) for row in rows]
@@ -193,6 +202,7 @@ def test_a_study_trains_scores_and_goes_on(study: PreferenceStudy) -> None:
     assert before == {path: path.stat().st_mtime_ns for path in before}
 
 
+@pytest.mark.slow
 def test_a_study_refuses_runs_of_other_options(study: PreferenceStudy) -> None:
     study.rows()
     more = replace(study, scorer=replace(study.scorer, episodes=3))

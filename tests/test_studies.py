@@ -131,6 +131,12 @@ def test_labels_of_a_logarithmic_axis_do_not_overlap(low: float, factor: float) 
     assert all(end < start for (_, end), (start, _) in pairwise(boxes))
 
 
+def test_algorithms_that_learn_from_rewards_are_compared() -> None:
+    algos = study.reward_algorithms()
+    assert {"sac", "ppo", "ppo-kl", "dqn"} <= set(algos)
+    assert not {"bc", "gaussian-bc", "dpo", "clone-best", "pebble"} & set(algos)
+
+
 def test_algorithms_are_evaluated_after_each_fifth() -> None:
     result = algorithm_variants("Reach", ["a2c", "sac"], 10_000)
     assert {(config.steps, config.eval_every) for config in result.values()} == {

@@ -1,6 +1,7 @@
 """A problem that is learned in seconds: points on a line that should move to 0."""
 
 from collections.abc import Sequence
+from types import SimpleNamespace
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -19,6 +20,7 @@ from manip.agents.sac import SACConfig
 from manip.agents.td3 import TD3Config
 from manip.agents.trpo import TRPOConfig
 from manip.evaluation.episodes import run_episodes
+from manip.observation import ObservationPart, ObservationSpec
 from manip.training.collector import Rollout
 
 ALGORITHMS = {
@@ -98,6 +100,11 @@ class Points(EnvBase):
     """
 
     batch_locked = True
+    batch = SimpleNamespace(
+        observation_spec=ObservationSpec(
+            (ObservationPart("x", (1,), "float32", "object"),)
+        )
+    )
 
     def __init__(
         self, limits: Sequence[int], seed: int = 0, start: float | None = None

@@ -72,8 +72,8 @@ class Agent(ABC):
         imitates: needs the action of the task's expert, or of a trained policy, as
             `expert_action` [N, A] in each step.
         sees_images: its actor may see camera images (`Spaces.actor`).
-        prefers: learns from compared clips (`relabel`, `compare`), not from the
-            environment's reward: needs a run with `--preferences`.
+        needs_preferences: learns from compared clips (`relabel`, `compare`), not from
+            the environment's reward: needs a run with `--preferences`.
         image_copies: copies of each image in its replay buffer, to check the memory.
         has_native_gradients: its constructor takes the keyword `gradients`, "native" or
             "torchrl"; others always learn through TorchRL's losses and autograd.
@@ -85,7 +85,7 @@ class Agent(ABC):
     imitates: ClassVar[bool] = False
     sees_images: ClassVar[bool] = False
     image_copies: ClassVar[int] = 1
-    prefers: ClassVar[bool] = False
+    needs_preferences: ClassVar[bool] = False
     has_native_gradients: ClassVar[bool] = False
 
     actor: Actor | BinnedActor | ImageActor
@@ -159,8 +159,11 @@ class Agent(ABC):
         return {}
 
     def waiting(self) -> str:
-        """What the agent waits for before the next rollout, in a line; empty if it
-        does not: a run saves and ends where answers of people are missing.
+        """Prepare for the next rollout, and say what is still missing.
+
+        Returns:
+            What the run has to wait for, such as people's answers, in a line: the run
+            saves and ends. Empty if it can go on.
         """
         return ""
 

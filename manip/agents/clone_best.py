@@ -3,7 +3,7 @@
     actor: max E log pi(a | s),  (s, a) ~ the best of what was done
 
 The best of what was done are the winners of comparisons, in every round from the
-reference again; or the best fraction of fresh episodes, by their mean learned reward,
+reference again; or the best fraction of new episodes, by their mean learned reward,
 each time that enough of them were collected (reward-ranked fine-tuning, Dong et al.
 2023, arXiv 2304.06767).
 """
@@ -30,11 +30,11 @@ class CloneBestConfig(FineTuningConfig):
     """Options of cloning the best; `reference` is needed."""
 
     source: Literal["winners", "episodes"] = "episodes"
-    """What is cloned: the winners of comparisons, or the best fresh episodes."""
+    """What is cloned: the winners of comparisons, or the best new episodes."""
     fraction: Annotated[float, SHARE] = 0.1
-    """Fraction of the fresh episodes that is cloned."""
+    """Fraction of the new episodes that is cloned."""
     buffer_size: Annotated[int, COUNT] = 20_000
-    """Control steps of fresh episodes among which the best are chosen."""
+    """Control steps of new episodes among which the best are chosen."""
     epochs: Annotated[int, COUNT] = 20
     """Passes over the chosen steps."""
     batch_size: Annotated[int, COUNT] = 256

@@ -38,7 +38,7 @@ class PEBBLE(SAC):
 
     name = "pebble"
     Config = PEBBLEConfig
-    prefers = True
+    needs_preferences = True
     config: PEBBLEConfig
 
     def __init__(

@@ -8,9 +8,11 @@
 Critic and advantages are PPO's. The reference is a policy that was trained before. The
 actor starts from it, and the rewards penalise an estimate of KL(pi || pi_ref): the form
 used after pre-training (Ziegler et al. 2019, arXiv 1909.08593). With a reference, the
-observations' statistics stay as they are: if they moved on, so would the actor, without
-any gradient. TorchRL's KLPENPPOLoss
-adapts beta after each minibatch; here it is adapted once per update, as in the paper.
+observations' statistics stay as they are, as the actor would change with them without
+any gradient; and an update ends once its KL exceeds 1.5 d.
+
+TorchRL's KLPENPPOLoss adapts beta after each minibatch; here it is adapted once per
+update, as in the paper, and not while only the critic learns.
 """
 
 from copy import deepcopy
@@ -43,10 +45,10 @@ class PPOKLConfig(OnPolicyConfig):
     reference: str | None = None
     """Policy to start from and stay close to: a run folder or a shipped name. It sets
     the options of the network."""
-    reference_std: Annotated[float, POSITIVE] = 0.2
-    """Standard deviation of the actions of a reference with squash (as SAC, TD3 and BC
-    train them), whose own is not one of samples near its decisions; a fraction of each
-    dimension's range."""
+    reference_std: Annotated[float, POSITIVE] = 0.1
+    """Standard deviation of the actions at the start, as a fraction of their range,
+    where the reference gives none: a policy of SAC, TD3 or BC is deterministic. A
+    larger value explores more, and fails more often."""
     reference_beta: Annotated[float, NUMBER] = 0.05
     """beta_ref, weight of the divergence from the reference in the rewards: larger
     stays closer."""

@@ -26,9 +26,10 @@ class FineTuningConfig(AgentConfig):
     reference: str | None = None
     """Policy to start from: a run folder or a shipped name. It sets the options of the
     network."""
-    reference_std: Annotated[float, POSITIVE] = 0.2
-    """Standard deviation of the actions of a reference with squash (as SAC, TD3 and BC
-    train them), a fraction of each dimension's range."""
+    reference_std: Annotated[float, POSITIVE] = 0.1
+    """Standard deviation of the actions at the start, as a fraction of their range,
+    where the reference gives none: a policy of SAC, TD3 or BC is deterministic. A
+    larger value explores more, and fails more often."""
     rollout_length: Annotated[int, COUNT] = 32
     """Control steps of each environment in a rollout."""
     learning_rate: Annotated[float, NUMBER] = 3e-4
@@ -52,7 +53,7 @@ class FineTuning(Agent):
     """
 
     actor: Actor
-    prefers = True
+    needs_preferences = True
 
     def __init__(
         self, config: FineTuningConfig, spaces: Spaces, threads: int = 1

@@ -29,11 +29,19 @@ def image_after(camera: str) -> str:
 
 
 def row_bytes(
-    observation_dim: int, action_dim: int, cameras: Sequence[ObservationPart] = ()
+    observation_dim: int,
+    action_dim: int,
+    cameras: Sequence[ObservationPart] = (),
+    image_copies: int = 2,
 ) -> int:
-    """Bytes of a stored step's observations (float32), images (uint8) and action."""
+    """Bytes of a stored step: action and two observations (float32), images (uint8).
+
+    Args:
+        image_copies: images of each camera; a replay buffer has those before and after
+            the step.
+    """
     images = sum(prod(camera.shape) for camera in cameras)
-    return 4 * (2 * observation_dim + action_dim) + 2 * images
+    return 4 * (2 * observation_dim + action_dim) + image_copies * images
 
 
 def allocate(

@@ -1,6 +1,6 @@
-"""Compare the pictures that the native backend draws with robosuite's own.
+"""Compare the images that the native backend draws with robosuite's own.
 
-Frames per CPU second: the CPU time of all threads, so that other work on the machine
+Images per CPU second: the CPU time of all threads, so that other work on the machine
 changes the figures little.
 """
 
@@ -36,7 +36,7 @@ STATES = 4
 
 
 def comparison(settings: Settings) -> Comparison:
-    """Compare robosuite's pictures of two cameras with exact and lean ones."""
+    """Compare robosuite's images of two cameras with exact and lean ones."""
     scene, states = _states(settings.task)
     candidates: dict[str, Candidate] = {}
     ratios: dict[str, tuple[str, str]] = {}
@@ -50,10 +50,10 @@ def comparison(settings: Settings) -> Comparison:
                 ratio = f"{camera}_{size}_{quality}_vs_robosuite"
                 ratios[ratio] = names[quality], names["robosuite"]
     return Comparison(
-        f"{settings.task}, one picture after another",
+        f"{settings.task}, one image after another",
         candidates,
         ratios=ratios,
-        unit="frames per CPU second",
+        unit="images per CPU second",
         task=settings.task,
     )
 

@@ -25,8 +25,9 @@ Grid = dict[str, list[Words]]
 
 MOST_CELLS = 10_000
 
-REFUSED = ("out", "resume", "help")
-"""Options of `manip train` that a sweep sets itself, or that make no sense in it."""
+REFUSED = ("out", "resume", "help", "preferences")
+"""Options of `manip train` that a sweep sets itself, or that make no sense in it: runs
+that add comparisons to one folder would learn from each other's, in a random order."""
 
 _FLAGS: dict[Words, str] = {("true",): "--{}", ("false",): "--no-{}"}
 """Choices of an option that is on or off."""

@@ -21,7 +21,7 @@ class EpisodeOptions:
         purpose: see `manip.envs.episode_streams.Purpose`.
         first_env: number of the first environment in the random streams; batches that
             share a seed have different episodes.
-        cameras: cameras whose pictures are parts of the observation; None for none.
+        cameras: cameras whose images are parts of the observation; None for none.
         looks: strength, from 0 to 1, of the random changes of each episode's look, or
             the name of a suite of fixed looks (see `manip.looks`); native backend only.
 
@@ -45,7 +45,7 @@ class EpisodeOptions:
         check_purpose(self.purpose)
         check_cameras(self.cameras)
         if check_looks(self.looks).groups and not check_cameras(self.cameras).names:
-            raise UserError("looks change pictures only: name cameras, too")
+            raise UserError("looks change images only: name cameras, too")
 
     def refuse_looks(self, library: str) -> None:
         """Raise `UserError` if looks vary, which another library does not draw."""

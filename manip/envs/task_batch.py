@@ -14,9 +14,9 @@ from manip.envs.episode_options import EpisodeOptions
 from manip.envs.episode_streams import check_purpose, check_seed
 from manip.envs.fault_recorder import FaultRecorder
 from manip.envs.faults import non_finite
+from manip.envs.image_stacks import ImageStacks
 from manip.envs.measure_cache import MeasureCache
 from manip.envs.option_checks import state_array
-from manip.envs.pictures import Pictures
 from manip.envs.reward_range import RewardRange
 from manip.envs.task import Measures, Task
 from manip.envs.task_check import check_memory, check_task
@@ -49,7 +49,7 @@ class TaskBatch(FaultRecorder, ABC):
     Attributes:
         observation_spec: names, shapes and roles of the observation's parts, cameras
             last.
-        cameras: the cameras whose pictures are observed.
+        cameras: the cameras whose images are observed.
         reward_weights: term -> weight, as paid.
         reward_names: names of the terms, in order.
         measure_names: names of the visible measures, in order.
@@ -92,7 +92,7 @@ class TaskBatch(FaultRecorder, ABC):
         self.reward_names = tuple(self.reward_weights)
         self.measure_names = self._visible.names
         self.cameras = cameras = check_cameras(options.cameras)
-        self._pictures = Pictures(cameras, num_envs, self._draw)
+        self._image_stacks = ImageStacks(cameras, num_envs, self._draw)
         vector = vector_spec(outputs.parts, task.proprioception)
         self.observation_spec = ObservationSpec((*vector.parts, *cameras.parts))
         self._form = OutputForm(task, outputs)
@@ -152,7 +152,7 @@ class TaskBatch(FaultRecorder, ABC):
             "episode": self.episode.copy(),
             "fault_count": self.fault_count,
             "motion": self._visible.save_state(),
-            **self._pictures.save_state(),
+            **self._image_stacks.save_state(),
         }
 
     def _restore_clocks(self, state: dict[str, Any]) -> None:
@@ -165,7 +165,7 @@ class TaskBatch(FaultRecorder, ABC):
             getattr(self, name)[:] = values
         self._visible.load_state(state)
         self.fault_count = int(count)
-        self._pictures.load_state(state)
+        self._image_stacks.load_state(state)
         self._begun = self.episode >= 0
 
     def restart(self, seed: int | None = None, episode: int = 0) -> None:
@@ -194,7 +194,7 @@ class TaskBatch(FaultRecorder, ABC):
                     self._start_episodes(env_ids)
                 self._update_memory(env_ids)
                 self._visible.begin(env_ids)
-            self._pictures.restart(env_ids)
+            self._image_stacks.restart(env_ids)
 
     def step(self, action: Array) -> TimeStep:
         """Advance all environments by one control step.
@@ -213,7 +213,7 @@ class TaskBatch(FaultRecorder, ABC):
         with exits_blamed(self.task):
             diverged = self._move(action)
         self.elapsed += 1
-        self._pictures.append()
+        self._image_stacks.append()
         if diverged.any():
             no_number = diverged & np.isnan(action).any(axis=1)
             self._record_faults(
@@ -280,7 +280,7 @@ class TaskBatch(FaultRecorder, ABC):
             milestones=outputs.milestones,
             terminated=terminated,
             truncated=over & ~terminated,
-            images=self._pictures.now,
+            images=self._image_stacks.now,
         )
         finite = time_step.finite()
         self._non_finite = ~finite

@@ -88,13 +88,19 @@ def mean_over_episodes(values: Sequence[float]) -> Mean:
     if not values:
         raise UserError("a mean needs at least one episode")
     mean, count = float(np.mean(values)), len(values)
-    if count == 1:
-        return Mean(mean, mean, mean)
+    half = student_half_width(values) if count > 1 else 0.0
+    return Mean(mean, mean - half, mean + half)
+
+
+def student_half_width(values: Sequence[float]) -> float:
+    """Half the width of Student's 95 % interval of a mean of n >= 2 values.
+
+    t_{0.975, n - 1} s / sqrt(n),   s^2 = sum (x - mean)^2 / (n - 1)
+    """
     from scipy.special import stdtrit  # takes 0.4 s to import
 
-    critical = float(stdtrit(count - 1, 0.975))
-    half = critical * float(np.std(values, ddof=1)) / sqrt(count)
-    return Mean(mean, mean - half, mean + half)
+    critical = float(stdtrit(len(values) - 1, 0.975))
+    return critical * float(np.std(values, ddof=1)) / sqrt(len(values))
 
 
 def rate_over_seeds(counts: Sequence[SeedCount]) -> Rate:

@@ -19,7 +19,7 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
     A last line without line break, which a killed writer may leave, is left out.
 
     Raises:
-        UserError: the file is too large.
+        UserError: the file is too large, or no regular file.
         DamagedError: a line is no JSON object.
     """
     return [parse_line(line, path, n) for n, line in enumerate(raw_lines(path)[0], 1)]
@@ -29,9 +29,9 @@ def raw_lines(path: Path) -> tuple[list[bytes], bool]:
     """The lines of a file, without a last one that is incomplete; whether there is one.
 
     Raises:
-        UserError: the file is too large.
+        UserError: the file is too large, or no regular file.
     """
-    if not path.is_file():
+    if not _exists(path):
         return [], False
     if path.stat().st_size > MOST_BYTES:
         raise UserError(f"{path} is larger than {MOST_BYTES} bytes")
@@ -56,7 +56,11 @@ def update_lines(
     Args:
         path: the file.
         make: returns the objects for these lines; no other process writes meanwhile.
+
+    Raises:
+        UserError: the path names no regular file.
     """
+    _exists(path)
     handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
     with os.fdopen(handle, "r+b") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
@@ -69,6 +73,17 @@ def update_lines(
         file.write(text.encode())
         file.flush()
         os.fsync(file.fileno())
+
+
+def _exists(path: Path) -> bool:
+    """Whether there is such a file; a pipe would be waited for, without end.
+
+    Raises:
+        UserError: it is a folder, a link, a pipe or a device.
+    """
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        raise UserError(f"{path} is no regular file: remove it")
+    return path.exists()
 
 
 def parse_line(line: bytes, path: Path, number: int) -> dict[str, Any]:

@@ -8,6 +8,9 @@ from pathlib import Path
 
 from manip.errors import UserError, one_line, unknown
 
+PLOT_FORMATS = (".png", ".pdf", ".svg")
+"""Endings of the files that a plot can be written to."""
+
 
 def check_output(path: Path, option: str, suffixes: Collection[str] = ()) -> None:
     """Raise `UserError` unless a file can be written at `path`.

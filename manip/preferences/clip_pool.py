@@ -142,6 +142,23 @@ def clip_of(row: TensorDictBase, source: ClipSource, actor: str) -> Clip:
     return Clip(header, **arrays)
 
 
+def cut_clips(
+    rollout: TensorDictBase, length: int, source: ClipSource, actor: str
+) -> list[Clip]:
+    """Cut a rollout [N, T], T >= length, into clips of `length` steps.
+
+    Args:
+        rollout: see `ClipPool`.
+        length: of a clip [control steps].
+        source: what all clips have in common.
+        actor: who acted, in words.
+    """
+    num_envs, steps = rollout.shape
+    pool = ClipPool(rollout, length, num_envs * (steps // length), source.nq)
+    pool.add(rollout)
+    return [clip_of(row, source, actor) for row in pool.clips]
+
+
 def _copy(own: Tensor, saved: Tensor, name: str) -> None:
     if saved.shape != own.shape or saved.dtype != own.dtype:
         raise ValueError(f"{name} are {saved.dtype} {[*saved.shape]}")

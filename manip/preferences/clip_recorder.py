@@ -12,7 +12,8 @@ from torch import Tensor
 
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.errors import UserError
-from manip.preferences.clip_source import ClipSource, whole_clips
+from manip.preferences.clip_pool import cut_clips
+from manip.preferences.clip_source import ClipSource
 from manip.preferences.clips import Clip
 
 NOISE_STEPS = 10
@@ -84,8 +85,4 @@ def record_clips(
         state["action"] = act(state)
         step, state = env.step_and_maybe_reset(state)
         steps.append(step)
-    rollout: TensorDictBase = torch.stack(steps, 1)
-    return [
-        source.cut(rollout, env_id, start, length, actor)
-        for env_id, start in whole_clips(rollout, length)
-    ]
+    return cut_clips(torch.stack(steps, 1), length, source, actor)

@@ -1,22 +1,11 @@
-"""ClipSource: cut clips from rollouts of the native batch."""
+"""ClipSource: what all clips of a native batch have in common."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
-
-import numpy as np
-from tensordict import TensorDictBase
+from dataclasses import dataclass
 
 from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.task_batch import TaskBatch
 from manip.errors import UserError
 from manip.preferences.clip_header import ClipHeader
-from manip.preferences.clips import Clip
-
-Array = np.ndarray
-
-START = ("states", "readings", "motion")
-"""Rows of `NativeBatch.record` from which a clip is repeated."""
 
 
 def not_recordable(task: str) -> UserError:
@@ -35,11 +24,13 @@ class ClipSource:
         header: of its clips, with env, episode and step 0.
         first_env: number of the batch's first environment.
         nq: length of qpos, the first columns of a state row.
+        widths: length of an observation and of an action.
     """
 
     header: ClipHeader
     first_env: int
     nq: int
+    widths: tuple[int, int]
 
     @classmethod
     def of(cls, batch: TaskBatch, task: str) -> "ClipSource":
@@ -66,51 +57,5 @@ class ClipSource:
             actor="",
             measure_names=batch.measure_names,
         )
-        return cls(header, batch.first_env, batch.scene.physics.nq)
-
-    def cut(
-        self,
-        rollout: TensorDictBase,
-        env_id: int,
-        start: int,
-        length: int,
-        actor: str,
-    ) -> Clip:
-        """Cut steps start to start + length of an environment from a rollout [N, T].
-
-        Args:
-            rollout: of a `TaskEnv` with measures and states.
-            env_id: the environment's row of the rollout.
-            start, length: [control steps]. No episode may end before the last step.
-            actor: who acted, in words.
-        """
-        steps = rollout[env_id, start : start + length]
-        after = steps["next"]
-        begin = {name: steps[name][0].numpy().copy() for name in START}
-        joints = np.concatenate([steps["states"], after["states"][-1:]])[:, : self.nq]
-        origin: Mapping[str, Any] = {
-            "env": int(self.first_env + env_id),
-            "episode": int(steps["episode"][0]),
-            "step": int(steps["elapsed"][0]),
-        }
-        return Clip(
-            header=replace(self.header, actor=actor, **origin),
-            qpos=joints.copy(),
-            **begin,
-            **{n: steps[n].numpy().copy() for n in ("observation", "action")},
-            **{n: after[n].numpy().copy() for n in ("measures", "reward_terms")},
-        )
-
-
-def whole_clips(rollout: TensorDictBase, length: int) -> Array:
-    """[n, 2] int: environment and start of every piece of `length` steps of a rollout
-    [N, T] in which no episode ends, except with its last step; pieces do not overlap.
-    """
-    done = rollout["next", "done"][..., 0].numpy()
-    starts = []
-    for env_id, ends in enumerate(done):
-        begin = 0
-        for end in (*np.flatnonzero(ends) + 1, len(ends)):
-            starts += [(env_id, s) for s in range(begin, end - length + 1, length)]
-            begin = end
-    return np.array(starts, np.int64).reshape(-1, 2)
+        widths = batch.observation_spec.dim, batch.action_dim
+        return cls(header, batch.first_env, batch.scene.physics.nq, widths)

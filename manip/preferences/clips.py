@@ -81,6 +81,11 @@ class Clip:
         return len(self.action)
 
     @property
+    def widths(self) -> tuple[int, int]:
+        """D and A."""
+        return self.observation.shape[1], self.action.shape[1]
+
+    @property
     def reward(self) -> Array:
         """[T] float64, the task's reward of each step."""
         weights = np.array(list(self.header.reward_weights.values()))
@@ -156,11 +161,20 @@ def clip_path(folder: Path, clip_id: str) -> Path:
     Raises:
         UserError: the id is not 24 hexadecimal digits.
     """
+    return folder / FOLDER / f"{check_clip_id(clip_id)}.safetensors"
+
+
+def check_clip_id(clip_id: object) -> str:
+    """The id, if it is one; anything else could be a path that leaves the folder.
+
+    Raises:
+        UserError: it is not 24 hexadecimal digits.
+    """
     if not isinstance(clip_id, str) or not ID.fullmatch(clip_id):
         raise UserError(
             f"{shown(clip_id)} is no id of a clip: it must be 24 digits 0-9, a-f"
         )
-    return folder / FOLDER / f"{clip_id}.safetensors"
+    return clip_id
 
 
 def _plain(header: ClipHeader) -> dict[str, Any]:

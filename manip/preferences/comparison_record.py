@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, get_args
 from manip.errors import UserError, check_choice, shown
 from manip.io.dataclass_values import build
 from manip.io.option_ranges import WHOLE, Range, check_options
-from manip.preferences.clips import ID
+from manip.preferences.clips import check_clip_id
 
 Answer = Literal["left", "right", "equal", "skip"]
 """The better clip; or both are equally good; or they cannot be compared."""
@@ -94,17 +94,27 @@ def _check_time(time: str) -> None:
         raise UserError(f"time {shown(time)} is no time in UTC")
 
 
+def check_labeller(name: str) -> str:
+    """The name of a labeller, if it is one.
+
+    Raises:
+        UserError: it is empty or too long, has spaces around it, or characters that
+            cannot be printed.
+    """
+    plain = name.isprintable() and name.strip() == name
+    if not plain or not 1 <= len(name) <= LONGEST_NAME:
+        raise UserError(
+            f"a labeller's name must have 1 to {LONGEST_NAME} printable characters, "
+            f"not {shown(name)}"
+        )
+    return name
+
+
 def check_answer(labeller: str, left: str, right: str, answer: str) -> None:
     """Raise `UserError` unless these make an answer."""
-    plain = labeller.isprintable() and labeller.strip() == labeller
-    if not plain or not 1 <= len(labeller) <= LONGEST_NAME:
-        raise UserError(
-            f"labeller must be a name of 1 to {LONGEST_NAME} characters, not "
-            f"{shown(labeller)}"
-        )
+    check_labeller(labeller)
     for clip in left, right:
-        if not ID.fullmatch(clip):
-            raise UserError(f"{shown(clip)} is no id of a clip")
+        check_clip_id(clip)
     if left == right:
         raise UserError(f"clip {left} is compared with itself")
     check_choice("answer", answer, ANSWERS)

@@ -9,7 +9,7 @@ learns from the same lines again, whatever was appended in the meantime.
 from collections.abc import Sequence
 from pathlib import Path
 
-from manip.errors import DamagedError
+from manip.errors import DamagedError, UserError
 from manip.io.json_lines import append_lines, read_lines
 from manip.preferences.comparison_record import Answer, Comparison
 from manip.preferences.comparisons import (
@@ -34,6 +34,17 @@ class LabelFolder:
 
     def __init__(self, folder: Path, run: str) -> None:
         self.folder, self._run = folder, run
+
+    def check(self) -> None:
+        """Read all files, before a run that needs them.
+
+        Raises:
+            UserError: one is no regular file.
+            DamagedError: one is damaged.
+        """
+        read_pairs(self.folder)
+        read_comparisons(self.folder)
+        read_lines(self.folder / ROUNDS)
 
     def pairs(self, number: int) -> list[Pair]:
         """The pairs that the run asked for in a round."""
@@ -84,6 +95,23 @@ class LabelFolder:
                 f"comparisons, and there are only {len(records)}"
             )
         return effective(records[:lines])
+
+    def check_used(self, rounds: int) -> None:
+        """Check that the folder is the one from which earlier rounds have learned.
+
+        Args:
+            rounds: number of rounds that the run has learned from.
+
+        Raises:
+            UserError: the folder knows nothing of one of them.
+        """
+        for number in range(rounds):
+            if self._used(number) is None:
+                raise UserError(
+                    f"{self.folder} does not hold the comparisons of round {number}, "
+                    "from which the run has learned: name the folder that does with "
+                    "--preferences, or start another run"
+                )
 
     def _used(self, number: int) -> int | None:
         for line in read_lines(self.folder / ROUNDS):

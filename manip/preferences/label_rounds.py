@@ -46,7 +46,8 @@ class Rounds:
     _reader: ClipReader = field(init=False)
 
     def __post_init__(self) -> None:
-        self._reader = ClipReader(self.folder.folder, self.model.card)
+        robot, widths = self.source.header.robot_config, self.source.widths
+        self._reader = ClipReader(self.folder.folder, self.model.card, robot, widths)
 
     def check(self) -> None:
         """Read the clips of the answers that the folder holds already.
@@ -55,6 +56,7 @@ class Rounds:
             UserError: one is of another task, arm, length or other measures.
             DamagedError: a file of the folder is damaged.
         """
+        self.folder.check()
         self._reader.read(self.folder.present())
 
     def due(self, number: int, steps: int) -> bool:

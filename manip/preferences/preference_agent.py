@@ -60,6 +60,9 @@ class PreferenceAgent(Agent):
     def waiting(self) -> str:
         """Have clips compared and learn a new reward, if it is time.
 
+        Returns:
+            How many answers of people are missing, and how to give them; empty if none.
+
         Raises:
             UserError: there are too few clips, or the folder's files do not fit.
         """
@@ -101,6 +104,7 @@ class PreferenceAgent(Agent):
 
         Raises:
             ValueError: it is of another run, or damaged.
+            UserError: the folder of preferences is not the one that was used before.
         """
         own = state["preferences"]
         self._agent.load_extra_state(state)
@@ -109,3 +113,4 @@ class PreferenceAgent(Agent):
         self._rounds.labels = own["labels"]
         if min(self._steps, self._round, self._rounds.labels) < 0:
             raise ValueError("the counters of the rounds are out of range")
+        self._rounds.folder.check_used(self._round)

@@ -16,6 +16,7 @@ from manip.preferences.label_options import Inputs
 from manip.preferences.reward_fit import fit
 from manip.preferences.reward_model import RewardCard, RewardModel
 from manip.preferences.reward_network import RewardNetwork
+from manip.robot_config import RobotConfig
 
 TARGETS = {"left": 1.0, "right": 0.0, "equal": 0.5}
 """Answer -> probability that left is better; skipped pairs are left out."""
@@ -26,12 +27,21 @@ class ClipReader:
 
     Args:
         folder: folder of preferences.
-        card: of the reward to be learned; clips must be of its task, arm, measures and
+        card: of the reward to be learned; clips must be of its task, measures and
             length.
+        robot: arm, controller and control frequency of all clips.
+        widths: length of an observation and of an action in all clips.
     """
 
-    def __init__(self, folder: Path, card: RewardCard) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        card: RewardCard,
+        robot: RobotConfig,
+        widths: tuple[int, int],
+    ) -> None:
         self._folder, self._card = folder, card
+        self._robot, self._widths = robot, widths
         self._steps: dict[str, dict[Inputs, Tensor]] = {}
 
     def read(self, answers: Sequence[Comparison]) -> None:
@@ -44,8 +54,8 @@ class ClipReader:
         """The clips of all answers that were not skipped.
 
         Raises:
-            UserError: there are none, or a clip is of another task, arm, length or
-                other measures.
+            UserError: there are none, or a clip is of another task, arm, controller,
+                length or other measures.
         """
         answers = [answer for answer in answers if answer.answer in TARGETS]
         if not answers:
@@ -74,8 +84,9 @@ class ClipReader:
         card, header = self._card, clip.header
         expected = {
             "task": (header.task, card.task),
-            "robot": (header.robot, card.robot),
+            "robot": (_words(header.robot_config), _words(self._robot)),
             "length": (clip.steps, card.clip_steps),
+            "observation and action of": (clip.widths, self._widths),
         }
         if card.inputs == "measures":
             expected["measures"] = ([*header.measure_names], card.names)
@@ -88,6 +99,10 @@ class ClipReader:
                 )
 
 
+def _words(robot: RobotConfig) -> str:
+    return f"{robot.arm} {robot.controller} {robot.control_freq} Hz"
+
+
 def learn_reward(
     card: RewardCard,
     pairs: ComparedClips,
@@ -98,8 +113,8 @@ def learn_reward(
 
     Args:
         seed: of weights, held-out pairs and their order.
-        standard: [C, L, F] clips over which the reward shall have mean 0 and standard
-            deviation 1; the reward is from 0 to 1 without them.
+        standard: [C, L, F] clips over which the reward gets mean 0 and standard
+            deviation `STANDARD` (see reward_network); without them it is from 0 to 1.
     """
     generator = generator_of(*seed)
     network = RewardNetwork(len(card.names), card.members, card.hidden, generator)

@@ -30,6 +30,9 @@ FORMAT = 1
 MOST_BYTES = 2**28
 """Largest file that is read."""
 
+HIDDEN = [64, 64]
+"""Widths of the hidden layers of a learned reward."""
+
 LARGEST_WEIGHT = 1e6
 """Largest weight that is accepted."""
 

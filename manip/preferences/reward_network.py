@@ -18,6 +18,11 @@ from torch import Tensor, nn
 
 from manip.agents.networks import check_widths
 
+LEAST_STD = 0.05
+"""Least standard deviation by which an input [m, rad, m/s, ...] is divided. The height
+of an object that was never lifted varies by millimetres: divided by these, a lift would
+be far from all that was compared, and its reward arbitrary."""
+
 STANDARD = 0.1
 """Standard deviation of standardised rewards: returns with gamma = 0.97 are then of
 order one, which a new critic learns in its first rollouts."""
@@ -91,8 +96,7 @@ class RewardNetwork(nn.Module):
 
     @torch.no_grad()
     def normalise_by(self, inputs: Tensor) -> None:
-        """Set the statistics to those of inputs [..., F]; constant ones stay as is."""
+        """Set the statistics to those of inputs [..., F], with at least LEAST_STD."""
         flat = inputs.flatten(0, -2)
-        std = flat.std(0, correction=0)
         self.mean.copy_(flat.mean(0))
-        self.std.copy_(torch.where(std > 1e-6, std, 1.0))
+        self.std.copy_(flat.std(0, correction=0).clamp_min(LEAST_STD))

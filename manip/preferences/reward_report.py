@@ -1,7 +1,6 @@
 """How good a learned reward is, and what it pays for."""
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -13,13 +12,12 @@ from manip.agents.compared_clips import ComparedClips
 from manip.errors import UserError
 from manip.evaluation.statistics import Rate, wilson_rate
 from manip.preferences.agreement import Agreement, agreement
-from manip.preferences.clips import load_clip
-from manip.preferences.comparison_record import Comparison
+from manip.preferences.clips import Clip, load_clip
 from manip.preferences.comparisons import valid_comparisons
 from manip.preferences.label_options import Inputs
 from manip.preferences.reward_fit import logits
 from manip.preferences.reward_learning import ClipReader, generator_of, learn_reward
-from manip.preferences.reward_model import RewardCard, RewardModel, input_names
+from manip.preferences.reward_model import HIDDEN, RewardCard, RewardModel, input_names
 
 EDGES = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 """Bounds of the predicted chances in a table of calibration."""
@@ -81,8 +79,15 @@ def report(
             f"{folder} holds {len(answers)} comparisons: at least {folds} are needed; "
             f"make them with manip label {folder}"
         )
-    card = _card(folder, answers, inputs, members)
-    pairs = ClipReader(folder, card).compared(answers, inputs)
+    first = load_clip(folder, answers[0].left)
+    card = _card(first, inputs, members)
+    reader = ClipReader(folder, card, first.header.robot_config, first.widths)
+    pairs = reader.compared(answers, inputs)
+    if len(pairs) < folds:
+        raise UserError(
+            f"only {len(pairs)} of the {len(answers)} comparisons in {folder} were not "
+            f"skipped: at least {folds} are needed; make more, or lower --folds"
+        )
     clips = torch.cat([pairs.left, pairs.right])
     model = learn_reward(card, pairs, (seed,), standard=clips)
     chances = cross_validated(card, pairs, folds, seed)
@@ -99,18 +104,14 @@ def report(
     )
 
 
-def _card(
-    folder: Path, answers: Sequence[Comparison], inputs: Inputs, members: int
-) -> RewardCard:
-    """The card of a reward for clips like the first one."""
-    clip = load_clip(folder, answers[0].left)
-    dims = clip.observation.shape[1], clip.action.shape[1]
+def _card(clip: Clip, inputs: Inputs, members: int) -> RewardCard:
+    """The card of a reward for clips like this one."""
     return RewardCard(
         task=clip.header.task,
         robot=clip.header.robot,
         inputs=inputs,
-        names=input_names(inputs, clip.header.measure_names, *dims),
-        hidden=[64, 64],
+        names=input_names(inputs, clip.header.measure_names, *clip.widths),
+        hidden=HIDDEN,
         members=members,
         clip_steps=clip.steps,
     )

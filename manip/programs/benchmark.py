@@ -11,11 +11,9 @@ import tyro
 from manip.benchmarks.rounds import Settings, measure, save, show
 from manip.envs.task_registry import load_task
 from manip.errors import UserError, at_least
-from manip.io.output_paths import check_output
+from manip.io.output_paths import PLOT_FORMATS, check_output
 from manip.programs import benchmark_task, cli
 from manip.programs.output import console
-
-PLOT_FORMATS = (".png", ".pdf", ".svg")
 
 
 @dataclass(frozen=True)
@@ -24,7 +22,7 @@ class Benchmark:
 
     engine: batch engine, MuJoCo's bare physics and stock robosuite.
 
-    cameras: frames per CPU second of exact and lean pictures beside robosuite's own
+    cameras: images per CPU second, exact and lean, beside robosuite's own
     (--plot FILE).
 
     env: TorchRL and Gymnasium environments and a collect loop with a policy, as a
@@ -71,8 +69,8 @@ class Benchmark:
     json: Path | None = None
     """File for figures, medians and spreads, as JSON."""
     plot: Path | None = None
-    """File for a plot of the result, .png, .pdf or .svg (scaling), or for the pictures
-    that were drawn (cameras)."""
+    """File for a figure, .png, .pdf or .svg: of the result (scaling), or of the images
+    (cameras)."""
 
 
 def main(arguments: Sequence[str]) -> int:

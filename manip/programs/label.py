@@ -98,6 +98,7 @@ def serve(options: Label) -> None:
     session = LabelSession(options.folder, options.repeats)
     drawing = ClipDrawing(options.folder, options.camera)
     videos = ClipVideos(drawing.videos, drawing.draw, session.clips_needed)
+    print("Drawing the first clip ...", flush=True)
     videos.draw_first()
     opened = listen(options.port)
     token = secrets.token_urlsafe(16)

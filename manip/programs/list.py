@@ -21,7 +21,7 @@ from manip.training.recipes import recipe_names
 
 @dataclass(frozen=True)
 class List:
-    """List the names of everything that can be chosen: tasks, robots, policies, ..."""
+    """List tasks, robots, algorithms, action spaces, recipes, policies and tastes."""
 
     json: bool = False
     """Print JSON instead of a table."""

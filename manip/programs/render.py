@@ -83,7 +83,7 @@ def render_video(options: Render) -> None:
     _check(options)
     runs = [run for run in (options.before, options.run) if run is not None]
     policies = [load_policy(run) for run in runs]
-    _check_same_task(policies)
+    _check_comparable(policies)
     recorders = [_record(*each, options) for each in zip(runs, policies, strict=True)]
     rows = zip(*(each.frames(options) for each in recorders), strict=True)
     frames = (np.concatenate(row, axis=1) for row in rows)
@@ -102,12 +102,18 @@ def _record(run: Path, policy: Policy, options: Render) -> "Recorder":
     return recorder
 
 
-def _check_same_task(policies: Sequence[Policy]) -> None:
+def _check_comparable(policies: Sequence[Policy]) -> None:
     names = [policy.card.task for policy in policies]
     if names[0] != names[-1]:
         raise UserError(
             f"--before is a policy for {names[0]}, and the other one for {names[-1]}: "
             "name two policies for one task"
+        )
+    before, after = (policies[i].card.control_freq for i in (0, -1))
+    if before != after:
+        raise UserError(
+            f"--before acts at {before} Hz, and the other policy at {after} Hz: their "
+            "frames do not belong together; name two policies of one frequency"
         )
 
 

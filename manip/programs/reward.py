@@ -10,8 +10,9 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from manip.errors import UserError, at_least
 from manip.evaluation.statistics import Rate
-from manip.io.output_paths import check_output
+from manip.io.output_paths import PLOT_FORMATS, check_output
 from manip.preferences.agreement import Repeats
 from manip.preferences.label_options import Inputs
 from manip.preferences.reward_model import FILE
@@ -28,7 +29,7 @@ class Reward:
     that of predictions for pairs that were not learned from (cross-validation).
     """
 
-    folder: Annotated[Path, tyro.conf.Positional]
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """Folder of preferences, which `manip train --preferences` fills."""
     inputs: Inputs = "measures"
     """What the reward model sees of a step: the task's visible measures, or observation
@@ -40,18 +41,21 @@ class Reward:
     longer, and judge models that have learned from more."""
     seed: int = 0
     """Seed of the fits."""
-    figure: Path | None = None
-    """Picture of the reward against each measure; reward.png in the folder unless
-    given."""
+    plot: Path | None = None
+    """File for a figure of the reward against each measure, .png, .pdf or .svg;
+    DIR/reward.png unless given."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Fit, write model and picture, print the tables."""
+    """Fit, write model and figure, print the tables."""
     options = cli.parse(Reward, arguments, "manip reward")
     cli.check_range("--members", options.members, 1, 100)
     cli.check_range("--folds", options.folds, 2, 100)
-    figure = options.figure or options.folder / "reward.png"
-    check_output(figure, "--figure")
+    at_least(0, "--seed", options.seed)
+    if not options.folder.is_dir():
+        raise UserError(f"there is no folder {options.folder}")
+    figure = options.plot or options.folder / "reward.png"
+    check_output(figure, "--plot", PLOT_FORMATS)
     torch.set_num_threads(1)  # the sums of several threads would differ
     result = report(
         options.folder, options.inputs, options.members, options.folds, options.seed

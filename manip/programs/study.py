@@ -2,7 +2,7 @@
 
 import csv
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from io import StringIO
 from math import isnan
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from manip.agents.registry import algorithm_names
+from manip.agents.registry import algorithm_names, load_algorithm
 from manip.envs.task_registry import load_task
 from manip.errors import UserError, at_least
 from manip.io.atomic_files import write_text
@@ -43,6 +43,16 @@ FEWEST_ROLLOUTS = 8
 """Fewer do not give a covariance and its bootstrap intervals."""
 
 
+def reward_algorithms() -> tuple[str, ...]:
+    """Names of the algorithms that learn from the task's reward."""
+    algorithms = {name: load_algorithm(name) for name in algorithm_names()}
+    return tuple(
+        name
+        for name, algorithm in algorithms.items()
+        if not algorithm.imitates and not algorithm.needs_preferences
+    )
+
+
 @dataclass(frozen=True)
 class Study:
     """Run a study with several seeds; write a table (.csv) and figures (.png).
@@ -66,7 +76,7 @@ class Study:
     tasks: tuple[str, ...] = ()
     """Tasks; Reach unless given, or Lift for `rlhf`. Only `algorithms` uses more than
     the first."""
-    algos: tuple[str, ...] = tuple(algo for algo in algorithm_names() if algo != "bc")
+    algos: tuple[str, ...] = field(default_factory=reward_algorithms)
     """Algorithms that `algorithms` compares; by default all that learn from rewards."""
     seeds: int = 3
     """Number of runs of each variant, with seeds 0, 1, ...; more seeds narrow the

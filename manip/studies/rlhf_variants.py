@@ -35,7 +35,10 @@ BETA = 0.01
 """Weight of the divergence from the reference, beside rewards of standard deviation
 0.1."""
 
-BETAS = (0.0, 0.1)
+CLOSER = 0.1
+"""A larger weight, for reward models that know less."""
+
+BETAS = (0.0, CLOSER)
 """Weights that the part `overoptimisation` compares."""
 
 STAGES = 3
@@ -129,14 +132,12 @@ class Variants:
         yield self._variant("clone episodes", "clone-best", episodes, rounds)
         yield self._once("dpo, first", "dpo", {}, first)
         yield self._once("clone winners, first", "clone-best", winners, first)
-        yield self._variant("dpo", "dpo", {}, rounds)
-        yield self._variant("clone winners", "clone-best", winners, rounds)
 
     def _overoptimisation(self) -> Iterator[Variant]:
         for beta in BETAS:
             few = _first(FEW, inputs=RAW)
             yield self._ppo(few_name(beta), few, beta, STAGES)
-        yield self._ppo(f"{FULL}, beta 0", self._rounds(LABELS), 0.0, STAGES)
+        yield self._ppo(labels_name(LABELS, True), self._rounds(LABELS))
 
     def _labels(self) -> Iterator[Variant]:
         for count in COUNTS:
@@ -146,8 +147,10 @@ class Variants:
 
     def _inputs(self) -> Iterator[Variant]:
         yield self._true()
-        yield self._ppo(labels_name(OUTSIDE, True), self._rounds(OUTSIDE))
-        yield self._ppo(raw_name(), self._rounds(OUTSIDE, inputs=RAW))
+        yield self._ppo(labels_name(LABELS, True), self._rounds(LABELS))
+        for beta in (BETA, CLOSER):
+            labels = self._rounds(OUTSIDE, inputs=RAW)
+            yield self._ppo(raw_name(beta), labels, beta)
 
     def _labellers(self) -> Iterator[Variant]:
         yield self._true()
@@ -232,6 +235,7 @@ def few_name(beta: float) -> str:
     return f"{FULL}, {FEW} raw, beta {beta:g}"
 
 
-def raw_name() -> str:
+def raw_name(beta: float) -> str:
     """Name of PPO-KL whose reward model sees observation and action."""
-    return f"{FULL}, {OUTSIDE} raw"
+    name = f"{FULL}, {OUTSIDE} raw"
+    return name if beta == BETA else f"{name}, beta {beta:g}"

@@ -4,18 +4,16 @@ import os
 import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
-from math import prod
 from pathlib import Path
 
 from manip.agents.agent import Spaces
 from manip.agents.registry import load_algorithm
+from manip.agents.replay_columns import row_bytes
 from manip.errors import UserError, one_line, out_of_memory
 from manip.training.config import TrainConfig
 
 CGROUP = Path("/sys/fs/cgroup")
 """Limits of the container that this process runs in (cgroup v2)."""
-
-FLOAT_BYTES = 4
 
 
 def check_memory(config: TrainConfig, spaces: Spaces) -> None:
@@ -28,9 +26,9 @@ def check_memory(config: TrainConfig, spaces: Spaces) -> None:
         UserError: it does not fit.
     """
     capacity = getattr(config.agent, "buffer_size", 0)
-    step = FLOAT_BYTES * (2 * spaces.observation_dim + spaces.action_dim)
-    images = sum(prod(camera.shape) for camera in spaces.inputs.cameras)
-    step += images * load_algorithm(config.algo).image_copies
+    dims = spaces.observation_dim, spaces.action_dim
+    copies = load_algorithm(config.algo).image_copies
+    step = row_bytes(*dims, spaces.inputs.cameras, copies)
     _compare(capacity * step, address_space(), capacity)
     _compare(min(capacity, config.steps) * step, available_memory(), capacity)
 

@@ -11,22 +11,21 @@ from manip.envs.external_task import ExternalTask
 from manip.envs.task_batch import TaskBatch
 from manip.envs.task_registry import load_task
 from manip.errors import UserError
+from manip.io.output_paths import check_output_folder
 from manip.preferences.clip_pool import ClipPool
 from manip.preferences.clip_source import ClipSource, not_recordable
 from manip.preferences.label_folder import LabelFolder
+from manip.preferences.label_options import LabelOptions
 from manip.preferences.label_rounds import Labeller, Rounds
 from manip.preferences.labellers import TasteCriterion, make_labeller
 from manip.preferences.preference_agent import PreferenceAgent
 from manip.preferences.reward_learning import generator_of
-from manip.preferences.reward_model import RewardCard, RewardModel, input_names
+from manip.preferences.reward_model import HIDDEN, RewardCard, RewardModel, input_names
 from manip.preferences.reward_network import RewardNetwork
 from manip.preferences.taste_reward import TasteReward
 from manip.preferences.tastes import load_taste
 from manip.rewards.reward_function import RewardFunction
 from manip.training.config import TrainConfig, lasting
-
-HIDDEN = [64, 64]
-"""Widths of the hidden layers of a learned reward."""
 
 
 def check_preferences(config: TrainConfig) -> None:
@@ -42,15 +41,21 @@ def check_preferences(config: TrainConfig) -> None:
             "them out, or give the taste to the labeller with --labels.taste"
         )
     if config.preferences is None:
-        if algorithm.prefers:
+        if algorithm.needs_preferences:
             raise UserError(
                 f"{config.algo} learns from compared clips: give a folder for them "
                 "with --preferences"
             )
+        if config.labels != LabelOptions():
+            raise UserError(
+                "--labels has no effect without --preferences: name a folder for the "
+                "comparisons with --preferences, or leave out --labels"
+            )
         return
+    check_output_folder(config.preferences, "--preferences")
     if isinstance(load_task(config.task), ExternalTask):
         raise not_recordable(config.task)
-    if getattr(config.agent, "reference", "") is None and algorithm.prefers:
+    if getattr(config.agent, "reference", "") is None and algorithm.needs_preferences:
         raise UserError(
             f"{config.algo} changes a policy that was trained before: name it with "
             "--agent.reference"

@@ -1,6 +1,6 @@
 """Tuned options of runs, by task and algorithm: the files in assets/recipes."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -8,6 +8,7 @@ from typing import Any
 
 from manip.agents.policy_card import CAMERAS, Observe
 from manip.envs.task_registry import task_names
+from manip.io.dataclass_values import build
 from manip.io.yaml_files import read_yaml
 from manip.training.config import SCALE, TrainConfig, from_dict
 
@@ -75,7 +76,10 @@ def with_labels(config: TrainConfig, folder: Path) -> TrainConfig:
     """
     values = dict(_shipped("preferences").get(config.algo, {}))
     labels = replace(config.labels, **values.pop("labels", {}))
-    agent = replace(config.agent, **values.pop("agent", {}))
+    changes = values.pop("agent", {})
+    if config.controller != "OSC_POSE":  # its action_scale is for that one
+        changes = {name: v for name, v in changes.items() if name != SCALE}
+    agent = build(type(config.agent), asdict(config.agent) | changes)
     return replace(config, preferences=folder, labels=labels, agent=agent, **values)
 
 

@@ -16,9 +16,9 @@ Array = np.ndarray
 class TaskEnvironment(dm_env.Environment):
     """One environment of a task.
 
-    An observation is a dict of the task's parts, [k] float32 each, and of cameras'
-    pictures, uint8 [H, W, C]. At the time limit
-    the discount is 1, where the task failed it is 0.
+    An observation is a dict of the task's parts, [k] float32 each, and of the cameras'
+    images, uint8 [H, W, C]. At the time limit the discount is 1, where the task failed
+    it is 0.
 
     Args:
         task: name of the task, or package.module:Task.
@@ -68,5 +68,5 @@ class TaskEnvironment(dm_env.Environment):
 
     def _observation(self, time_step: TimeStep) -> dict[str, Array]:
         self.success = bool(time_step.success[0])
-        pictures = {name: stack[0] for name, stack in time_step.images.items()}
-        return self.batch.observation_spec.split(time_step.observation[0]) | pictures
+        images = {name: stack[0] for name, stack in time_step.images.items()}
+        return self.batch.observation_spec.split(time_step.observation[0]) | images

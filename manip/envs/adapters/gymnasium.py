@@ -23,9 +23,9 @@ Options of both functions:
     max_episode_steps length of an episode [control steps]; the task's own by default
     cameras           cameras to observe; the observation is then a dict (see
                       `manip.envs.adapters.gymnasium_observations`)
-    image_size        height and width of a picture [pixels], 64 by default
-    image_quality     "exact" (robosuite's pictures) or "lean" (cheaper, to train on)
-    frames            number of latest pictures that are stacked, 1 by default
+    image_size        height and width of an image [pixels], 64 by default
+    image_quality     "exact" (robosuite's images) or "lean" (cheaper, to train on)
+    frames            number of latest images that are stacked, 1 by default
 
 Of `gymnasium.make`, and `make_vec(..., vectorization_mode="sync" | "async")`, only:
 

@@ -19,7 +19,7 @@ class Sb3VecEnv(VecEnv):
 
     `SAC("MlpPolicy", Sb3VecEnv(gymnasium.make_vec("manip/Reach-v0", num_envs=16)))`.
     With `cameras=...` observations are dicts: choose "MultiInputPolicy", whose
-    convolutions need pictures of at least 36 pixels.
+    convolutions need images of at least 36 pixels.
     At the end of an episode `info` holds the keys that Stable-Baselines3 reads:
     `terminal_observation`, `TimeLimit.truncated` and `is_success`.
     """

@@ -93,11 +93,9 @@ class TaskEnv(EnvBase):
         )
 
     def parts(self, tensordict: TensorDictBase) -> dict[str, torch.Tensor]:
-        """Part name -> view [..., k] of the joined observation, or pictures."""
-        pictures = {
-            part.name: tensordict[part.name] for part in self.batch.cameras.parts
-        }
-        return self.batch.observation_spec.split(tensordict["observation"]) | pictures
+        """Part name -> view [..., k] of the joined observation, or images."""
+        images = {part.name: tensordict[part.name] for part in self.batch.cameras.parts}
+        return self.batch.observation_spec.split(tensordict["observation"]) | images
 
     def observe(self) -> TensorDictBase:
         """The present state as a reset returns it: no episode has ended."""
@@ -130,8 +128,8 @@ class TaskEnv(EnvBase):
             "truncated": torch.from_numpy(time_step.truncated[:, None]),
             "done": torch.from_numpy(time_step.done[:, None]),
         }
-        for name, pictures in time_step.images.items():
-            tensors[name] = torch.from_numpy(pictures)
+        for name, images in time_step.images.items():
+            tensors[name] = torch.from_numpy(images)
         if self._measures:
             tensors["measures"] = torch.from_numpy(self.batch.measures())
         if self._states:

@@ -102,7 +102,7 @@ class ExternalBatch(NotCopied, TaskBatch):
         )
 
     def _draw(self, env_ids: Array) -> Measures:
-        """The pictures of the latest steps."""
+        """The images of the latest steps."""
         steps = [self._steps[env_id] for env_id in env_ids]
         names = [part.name for part in self.cameras.parts]
         return {name: np.stack([s.pictures[name] for s in steps]) for name in names}

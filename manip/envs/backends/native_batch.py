@@ -131,7 +131,7 @@ class NativeBatch(DeepCopied, TaskBatch):
         return time_step
 
     def _draw(self, env_ids: Array) -> Mapping[str, Array]:
-        """The cameras' pictures of the present states."""
+        """The cameras' images of the present states."""
         states, looks = self.engine.states[env_ids], self._looks.seeds[env_ids]
         return self._drawn.draw(states, looks) if self._drawn else {}
 

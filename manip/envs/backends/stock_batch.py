@@ -83,7 +83,7 @@ class StockBatch(NotCopied, TaskBatch):
         return self.stock.sim.model._model
 
     def _draw(self, env_ids: Array) -> Mapping[str, Array]:
-        """The pictures that robosuite observed last."""
+        """The images that robosuite observed last."""
         names = [part.name for part in self.cameras.parts]
         return {name: self._observation[name][None] for name in names}
 

@@ -6,6 +6,7 @@ from flask import Flask, Response, jsonify, send_file
 from werkzeug.exceptions import HTTPException, ServiceUnavailable
 
 from manip.errors import UserError, one_line
+from manip.preferences.clips import check_clip_id
 from manip.preferences.page import page_input as sent
 from manip.preferences.page.clip_videos import ClipVideos
 from manip.preferences.page.label_session import LabelSession, LabelView
@@ -61,7 +62,7 @@ def _as_json(view: LabelView) -> Response:
 
 
 def _video(videos: ClipVideos, clip: str) -> Response:
-    path = videos.wait_for(sent.check_clip(clip), WAIT)
+    path = videos.wait_for(check_clip_id(clip), WAIT)
     if path is None:
         raise ServiceUnavailable("The clip is still being drawn.")
     return send_file(path.absolute(), mimetype="video/mp4")

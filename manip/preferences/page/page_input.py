@@ -6,8 +6,8 @@ from typing import Any, cast
 from flask import request
 
 from manip.errors import UserError, shown, unknown
-from manip.preferences.clips import ID
-from manip.preferences.comparison_record import ANSWERS, LONGEST_NAME, Answer
+from manip.preferences.clips import check_clip_id
+from manip.preferences.comparison_record import ANSWERS, Answer, check_labeller
 
 LONGEST = 600.0
 """Largest time [s] of an answer that is stored: people leave pages open."""
@@ -19,24 +19,7 @@ def check_name(name: object) -> str:
     Raises:
         UserError: it is empty, too long, or has characters that cannot be printed.
     """
-    text = name.strip() if isinstance(name, str) else ""
-    if not 1 <= len(text) <= LONGEST_NAME or not text.isprintable():
-        raise UserError(
-            f"a labeller's name has 1 to {LONGEST_NAME} printable characters, "
-            f"not {shown(name)}"
-        )
-    return text
-
-
-def check_clip(clip: object) -> str:
-    """A clip's id.
-
-    Raises:
-        UserError: it is none; it could be a path that leaves the folder.
-    """
-    if not isinstance(clip, str) or not ID.fullmatch(clip):
-        raise UserError(f"{shown(clip)} is no id of a clip")
-    return clip
+    return check_labeller(name.strip() if isinstance(name, str) else "")
 
 
 def sent_name() -> str:
@@ -47,7 +30,7 @@ def sent_name() -> str:
 def sent_pair() -> tuple[str, str]:
     """The clips of an answer, left and right."""
     body = _body()
-    return check_clip(body.get("left")), check_clip(body.get("right"))
+    return check_clip_id(body.get("left")), check_clip_id(body.get("right"))
 
 
 def sent_answer() -> Answer:

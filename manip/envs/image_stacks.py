@@ -1,4 +1,4 @@
-"""Pictures: the latest camera pictures of N environments, stacked."""
+"""ImageStacks: the latest camera images of N environments, stacked."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -11,16 +11,16 @@ from manip.envs.option_checks import state_array
 Array = np.ndarray
 
 Draw = Callable[[Array], Mapping[str, Array]]
-"""env_ids [n] -> part name -> uint8 [n, H, W, 3], pictures of the present state."""
+"""env_ids [n] -> part name -> uint8 [n, H, W, 3], images of the present state."""
 
 
-class Pictures:
-    """The stacked pictures of each camera, uint8 [N, H, W, 3 * frames].
+class ImageStacks:
+    """The stacked images of each camera, uint8 [N, H, W, 3 * frames].
 
     Arrays that were given out are never changed: each call makes new ones.
 
     Args:
-        cameras: which cameras, and how many latest pictures of each.
+        cameras: which cameras, and how many latest images of each.
         num_envs: N.
         draw: draws some environments.
     """
@@ -34,11 +34,11 @@ class Pictures:
 
     @property
     def now(self) -> dict[str, Array]:
-        """Part name -> stacked pictures of all environments."""
+        """Part name -> stacked images of all environments."""
         return dict(self._stacks)
 
     def append(self) -> None:
-        """Draw all environments; each picture replaces the oldest of its stack."""
+        """Draw all environments; each image replaces the oldest of its stack."""
         if self._stacks:
             drawn = self._draw(np.arange(self._num_envs))
             self._stacks = {
@@ -47,7 +47,7 @@ class Pictures:
             }
 
     def restart(self, env_ids: Array) -> None:
-        """Fill the stacks of some environments with pictures of their present state."""
+        """Fill the stacks of some environments with images of their present state."""
         if self._stacks:
             drawn = self._draw(env_ids)
             stacks = {name: stack.copy() for name, stack in self._stacks.items()}
