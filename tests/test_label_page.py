@@ -225,7 +225,9 @@ def test_an_answer_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     with served_here(folder) as page:
         pair = page.view()["pair"]
         (folder / COMPARISONS).symlink_to(tmp_path / "missing" / "file")
-        assert "error" in page.answer("left")
+        body = {**pair, "labeller": "Ana", "answer": "left", "seconds": 2.5}
+        assert "error" in page.request("/api/answer", body)[1]
+        assert "error" in page.view()
         (folder / COMPARISONS).unlink()
         assert page.view()["pair"] == pair
 
