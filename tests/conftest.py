@@ -34,14 +34,23 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         item.add_marker(pytest.mark.xdist_group(group))
 
 
+SAFE_PATH = os.environ.get("PYTHONSAFEPATH")
+"""As the tests were started: programs set it."""
+
+
 @pytest.fixture(autouse=True)
 def _trust_again() -> Iterator[None]:
     """Forget after each test which folders its files made untrusted."""
-    path, environment = list(sys.path), os.environ.get("PYTHONSAFEPATH")
+    path = list(sys.path)
+    _restore_safe_path()  # a fixture of a module may have run a program
     yield
     sys.path[:] = path
     plugins._untrusted.clear()
-    if environment is None:
+    _restore_safe_path()
+
+
+def _restore_safe_path() -> None:
+    if not SAFE_PATH:
         os.environ.pop("PYTHONSAFEPATH", None)
 
 
