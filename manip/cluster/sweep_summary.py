@@ -1,4 +1,4 @@
-"""What a sweep found: aggregates of each variant, and comparisons of variants."""
+"""Summary of a sweep: aggregates of each variant, and comparisons of variants."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

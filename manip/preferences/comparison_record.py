@@ -32,7 +32,7 @@ class Comparison:
         left, right: ids of the clips.
         answer: see `Answer`.
         seconds: how long it took.
-        round: round of labels that asked for it.
+        round: round of labels that requested it.
         undoes: id of the answer, of the same labeller, that this line takes back; None
             if this line is an answer itself.
     """

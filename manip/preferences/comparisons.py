@@ -78,7 +78,7 @@ def append_comparison(
         clips: ids of the left and the right clip.
         answer: see `Answer`.
         seconds: how long the labeller took.
-        number: round of labels that asked for it.
+        number: round of labels that requested it.
 
     Raises:
         UserError: a name or id is impossible.

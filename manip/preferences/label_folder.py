@@ -47,7 +47,7 @@ class LabelFolder:
         read_lines(self.folder / ROUNDS)
 
     def pairs(self, number: int) -> list[Pair]:
-        """The pairs that the run asked for in a round."""
+        """The pairs that the run requested in a round."""
         pairs = read_pairs(self.folder)
         return [pair for pair in pairs if (pair.run, pair.round) == (self._run, number)]
 
@@ -74,7 +74,7 @@ class LabelFolder:
         append_comparison(self.folder, labeller, clips, answer, number=pair.round)
 
     def present(self) -> list[Comparison]:
-        """All answers, also those that other runs asked for."""
+        """All answers, also those that other runs requested."""
         return valid_comparisons(self.folder)
 
     def count(self) -> int:

@@ -22,7 +22,7 @@ from manip.preferences.reward_network import RewardNetwork
 
 @dataclass(frozen=True)
 class FitOptions:
-    """How a reward is fitted; the values were found on Lift (see docs/rlhf.md)."""
+    """How a reward is fitted; the values were tuned on Lift (see docs/rlhf.md)."""
 
     learning_rate: float = 1e-3
     batch_size: int = 32
