@@ -98,7 +98,9 @@ def test_derived_constants_are_those_of_a_compiled_model(scene: Scene) -> None:
     ):
         part = row[batch.engine.state_columns(f"varied {array}")]
         values = part.reshape(getattr(compiled, array).shape)
-        np.testing.assert_allclose(values[cube], factor * getattr(compiled, array)[cube])
+        np.testing.assert_allclose(
+            values[cube], factor * getattr(compiled, array)[cube]
+        )
         arm = scene.layout.arm.root
         np.testing.assert_array_equal(values[arm], getattr(compiled, array)[arm])
 

@@ -8,7 +8,7 @@ from manip.envs.episode_streams import TRAINING, Purpose, check_purpose, check_s
 from manip.envs.option_checks import check_flag
 from manip.envs.perturbation import Perturbation, Perturbations
 from manip.errors import UserError, at_least, shown
-from manip.looks import check_looks
+from manip.looks import Looks, check_looks
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class EpisodeOptions:
     purpose: Purpose = TRAINING
     first_env: int = 0
     cameras: CameraConfig | None = None
-    looks: float | str = 0.0
+    looks: float | str | Looks = 0.0
     perturbations: Perturbations = ()
     motion: bool = False
 
