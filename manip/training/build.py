@@ -58,7 +58,7 @@ def training_env(config: TrainConfig, group: int, groups: int) -> TaskEnv:
     batch = _batch(
         config,
         num_envs,
-        cameras=cameras_of(config, config.image_quality),
+        cameras=cameras_of(config),
         looks=config.looks,
         perturbations=load_randomisation(config.randomise),
         fidelity=config.fidelity,
@@ -79,13 +79,15 @@ def training_env(config: TrainConfig, group: int, groups: int) -> TaskEnv:
 def evaluation_env(config: TrainConfig) -> TaskEnv:
     """Build the environments of evaluations: exact physics, the task's own horizon.
 
+    Images are of the quality and the looks of training.
     Their episodes serve to choose the best checkpoint (purpose CHOICE): the run never
     trains on them, and `manip evaluate` reports on others.
     """
     batch = _batch(
         config,
         config.eval_episodes,
-        cameras=cameras_of(config, "exact"),
+        cameras=cameras_of(config),
+        looks=config.looks,
         threads=config.threads,
         purpose=CHOICE,
     )
