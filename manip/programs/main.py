@@ -21,6 +21,7 @@ PROGRAMS = {
     "reproduce": "rerun shipped recipes and compare with their results",
     "results": "show the results of the shipped recipes",
     "replay": "repeat a control step whose numbers were not finite",
+    "check": "check a task of your own before training",
     "list": "list tasks, robots, algorithms, recipes, policies, tastes",
     "doctor": "check that this machine can run manip",
     "benchmark": "measure speed",
