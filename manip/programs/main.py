@@ -17,6 +17,7 @@ PROGRAMS = {
     "reward": "learn a reward from comparisons, and show what it pays for",
     "evaluate": "measure a policy's success, in stock robosuite or natively",
     "render": "make a video of a policy",
+    "report": "write a page about runs, with 3-D replays of their episodes",
     "reproduce": "rerun shipped recipes and compare with their results",
     "results": "show the results of the shipped recipes",
     "replay": "repeat a control step whose numbers were not finite",
