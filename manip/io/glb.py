@@ -196,8 +196,7 @@ class _File:
         self, name: str, motion: Motion, shifted: Array, turned: Array
     ) -> dict[str, Any]:
         times = motion.times.reshape(-1, 1)
-        bounds = {"min": [float(times[0, 0])], "max": [float(times[-1, 0])]}
-        clock = self._add(times, "f4", **bounds)
+        clock = self._add(times, "f4", min=times[0].tolist(), max=times[-1].tolist())
         tracks = [
             (node, "translation", self._add(motion.positions[:, node], "f4"))
             for node in shifted

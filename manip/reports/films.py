@@ -41,7 +41,7 @@ def draw_films(record: RecordedEpisodes, count: int) -> list[Film]:
     chosen = chosen_episodes(record.episodes, count)
     steps, rate = record.steps, record.settings.robot.control_freq
     return [
-        Film(each.env_id, outcome(each), _video(steps, each, rate)) for each in chosen
+        Film(each.index, outcome(each), _video(steps, each, rate)) for each in chosen
     ]
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from statistics import median
 from typing import Literal
 
 from manip.evaluation.episodes import Episode
@@ -15,11 +16,17 @@ Grade = Literal["good", "fair", "poor"]
 
 @dataclass(frozen=True)
 class Stage:
-    """A milestone or a measure of success, and the episodes that reached it."""
+    """A milestone or a measure of success, and the episodes that reached it.
+
+    Attributes:
+        step: median over these of the first step in which it was reached; None for a
+            measure of success, or if no steps are recorded.
+    """
 
     name: str
     reached: int
     rate: Rate
+    step: float | None = None
 
 
 def funnel(episodes: Sequence[Episode], milestones: Sequence[str]) -> list[Stage]:
@@ -35,7 +42,20 @@ def funnel(episodes: Sequence[Episode], milestones: Sequence[str]) -> list[Stage
     if once not in flags.values():
         flags["success_once"] = once
     flags["success_held"] = [episode.success_held for episode in episodes]
-    return [Stage(name, sum(flag), success_rate(flag)) for name, flag in flags.items()]
+    steps = _median_steps(episodes, milestones)
+    return [
+        Stage(name, sum(flag), success_rate(flag), steps.get(name))
+        for name, flag in flags.items()
+    ]
+
+
+def _median_steps(
+    episodes: Sequence[Episode], milestones: Sequence[str]
+) -> dict[str, float]:
+    rows = [episode.details.milestone_steps for episode in episodes if episode.details]
+    columns = zip(milestones, zip(*rows, strict=True), strict=bool(rows))
+    known = {name: [s for s in steps if s is not None] for name, steps in columns}
+    return {name: float(median(steps)) for name, steps in known.items() if steps}
 
 
 def grade(stages: Sequence[Stage]) -> Grade:
@@ -70,11 +90,11 @@ def describe(
     return lines
 
 
-def _result(held: Stage, episodes: int) -> str:
-    if held.reached == episodes:
+def _result(lasting: Stage, episodes: int) -> str:
+    if lasting.reached == episodes:
         return f"All {episodes} episodes end in success that lasts (success_held)."
     return (
-        f"{held.reached} of {episodes} episodes end in success that lasts "
+        f"{lasting.reached} of {episodes} episodes end in success that lasts "
         "(success_held)."
     )
 

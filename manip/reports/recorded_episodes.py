@@ -11,11 +11,12 @@ from manip.agents.policy import Policy
 from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.external_task import ExternalTask
 from manip.envs.task import Task
-from manip.evaluation.episodes import Episode, run_episodes
+from manip.evaluation.episodes import Episode
 from manip.evaluation.runners import (
     EpisodeSettings,
     evaluate_policy,
     make_env,
+    run_settings,
 )
 
 Array = np.ndarray
@@ -118,14 +119,15 @@ def record_episodes(
         episodes=episodes,
         seed=seed,
         backend="native",
+        details=True,
     )
     if isinstance(task, ExternalTask):
         return _counted(policy, replace(settings, backend="stock"), progress)
     env = make_env(settings, episodes)
     assert isinstance(env.batch, NativeBatch)
     recorder = _Recorder(env.batch, progress)
-    results = run_episodes(env, policy, episodes, callback=recorder)
-    results = sorted(results, key=lambda episode: episode.env_id)
+    results = run_settings(env, policy, settings, episodes, recorder)
+    results = sorted(results, key=lambda episode: episode.index)
     columns = {name: np.stack(rows) for name, rows in recorder.columns.items()}
     steps = RecordedSteps(env.batch, recorder.first, **columns)
     return RecordedEpisodes(settings, results, steps)

@@ -38,7 +38,7 @@ def chosen_episodes(episodes: Sequence[Episode], count: int) -> list[Episode]:
     share = max(count - count // 2, count - len(solved))
     chosen = failed[:share]
     chosen += solved[: count - len(chosen)]
-    return sorted(chosen, key=lambda episode: episode.env_id)
+    return sorted(chosen, key=lambda episode: episode.index)
 
 
 def make_replays(record: RecordedEpisodes, count: int) -> Replays | None:
@@ -49,7 +49,7 @@ def make_replays(record: RecordedEpisodes, count: int) -> Replays | None:
     model = steps.batch.scene.visual
     reader = PoseReader(model)
     motions = {
-        str(episode.env_id): _motion(steps, episode, reader) for episode in chosen
+        str(episode.index): _motion(steps, episode, reader) for episode in chosen
     }
     nodes = [_node(part) for part in replay_parts(model)]
     timelines = [_timeline(steps, episode) for episode in chosen]
@@ -94,7 +94,7 @@ def _timeline(steps: RecordedSteps, episode: Episode) -> dict[str, Any]:
     flags["success"] = steps.success[rows]
     weights = np.array([*batch.reward_weights.values()])
     return {
-        "number": episode.env_id,
+        "number": episode.index,
         "seconds": round((episode.steps - 1) * batch.engine.control_dt, 4),
         "outcome": outcome(episode),
         "reward": np.round(steps.terms[rows] @ weights, 3).tolist(),

@@ -8,6 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from manip.envs.external_task import library_of
+from manip.evaluation.episode_table import motion_summary
 from manip.evaluation.episodes import Episode
 from manip.evaluation.report import summarise
 from manip.reports.commands import changed_options, evaluate_commands, train_command
@@ -49,6 +50,27 @@ class TermRow:
 
 
 @dataclass(frozen=True)
+class MotionRow:
+    """A measure of the robot's motion: its median over episodes, and its unit."""
+
+    name: str
+    meaning: str
+    solved: str
+    others: str
+
+
+MOTION = {
+    "speed": ("largest joint speed", "share of the arm's limit", 100, " %"),
+    "torque": ("largest joint torque", "share of the arm's limit", 100, " %"),
+    "jerk": ("largest joint jerk", "share of the arm's limit", 100, " %"),
+    "action_change": ("change of the action", "mean of a control step", 1, ""),
+    "hand_tilt": ("largest tilt of the hand", "from straight down", 180 / np.pi, "°"),
+    "self_contact": ("arm touches itself", "share of the steps", 100, " %"),
+}
+"""Measure of `motion_summary` -> its name, what it is, scale and unit."""
+
+
+@dataclass(frozen=True)
 class RunSection:
     """What the page shows of one run."""
 
@@ -61,6 +83,7 @@ class RunSection:
     grade: Grade
     sentences: list[str]
     terms: list[TermRow]
+    motion: list[MotionRow]
     charts: list[Markup]
     learner: list[Markup]
     train: str | None
@@ -92,6 +115,7 @@ def make_section(
         grade=grade(stages),
         sentences=describe(stages, len(episodes), record.reward_weights, usual),
         terms=_terms(record, played, usual),
+        motion=_motion(episodes, record.policy.card.robot),
         charts=training_charts(record),
         learner=learner_charts(record),
         train=train_command(record.config) if record.config else None,
@@ -108,12 +132,12 @@ def _rows(
     dt = 1 / record.policy.card.control_freq
     return [
         EpisodeRow(
-            number=episode.env_id,
+            number=episode.index,
             outcome=outcome(episode),
             reached=_reached(record.task.milestone_names, episode),
             success_seconds=episode.first_success and episode.first_success * dt,
             total_reward=episode.total_reward,
-            replay=episode.env_id in shown,
+            replay=episode.index in shown,
         )
         for episode in episodes
     ]
@@ -146,6 +170,31 @@ def _terms(
         )
         for index, name in enumerate(names)
     ]
+
+
+def _motion(episodes: Sequence[Episode], arm: str) -> list[MotionRow]:
+    """Medians of solved and of other episodes; none if no motion is recorded."""
+    groups = [
+        [e for e in episodes if e.success_held is lasting] for lasting in (True, False)
+    ]
+    solved, others = (motion_summary(group, arm) or {} for group in groups)
+    return [
+        MotionRow(
+            name,
+            meaning,
+            _scaled(solved.get(key), scale, unit),
+            _scaled(others.get(key), scale, unit),
+        )
+        for key, (name, meaning, scale, unit) in MOTION.items()
+        if key in solved or key in others
+    ]
+
+
+def _scaled(value: float | None, scale: float, unit: str) -> str:
+    if value is None:
+        return "–"
+    number = scale * value
+    return f"{number:.0f}{unit}" if number >= 10 else f"{number:.2g}{unit}"
 
 
 def _mean(values: np.ndarray) -> float | None:

@@ -56,7 +56,7 @@ def learner_charts(record: RunRecord) -> list[Markup]:
 
 def compared_charts(records: Sequence[RunRecord]) -> list[Markup]:
     """Success and return of all runs over each other."""
-    held = [
+    lasting = [
         Line(record.name, *_points(record.rows, "eval/success_held"))
         for record in records
     ]
@@ -64,7 +64,7 @@ def compared_charts(records: Sequence[RunRecord]) -> list[Markup]:
         Line(record.name, *_points(record.rows, "eval/return")) for record in records
     ]
     charts = [
-        line_chart("success_held in evaluations", held, _STEPS, _SHARE),
+        line_chart("success_held in evaluations", lasting, _STEPS, _SHARE),
         line_chart("Return in evaluations", returns, _STEPS, _VALUE),
     ]
     return [chart for chart in charts if chart]

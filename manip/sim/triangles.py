@@ -129,7 +129,7 @@ def _turned(profile: Array, normals: Array) -> Triangles:
     """A profile, points [P, 2] of radius and height from below, turned about z."""
     angle = np.linspace(0, 2 * np.pi, SEGMENTS + 1)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    parts = [
+    positions, around = (
         np.concatenate(
             [
                 values[:, None, :1] * ring,
@@ -138,12 +138,12 @@ def _turned(profile: Array, normals: Array) -> Triangles:
             axis=2,
         ).reshape(-1, 3)
         for values in (profile, normals)
-    ]
+    )
     row = np.arange(len(profile) - 1)[:, None] * len(ring)
     low = (row + np.arange(SEGMENTS)).reshape(-1)
     high = low + len(ring)
     faces = np.stack([low, low + 1, high + 1, low, high + 1, high], 1).reshape(-1, 3)
-    return Triangles(*parts, faces)
+    return Triangles(positions, around, faces)
 
 
 def _cylinder(size: Array) -> Triangles:

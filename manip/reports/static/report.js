@@ -43,7 +43,7 @@ class Replay {
 
   async open() {
     if (!document.createElement("canvas").getContext("webgl2")) {
-      this.fail("This browser cannot draw 3-D pictures: WebGL 2 is off or missing.");
+      this.fail("This browser cannot draw 3-D scenes: WebGL 2 is off or missing.");
       return;
     }
     const viewer = this.viewer = document.createElement("model-viewer");
