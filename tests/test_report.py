@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import json
 import re
 import shlex
 from dataclasses import replace
@@ -14,6 +15,7 @@ import pytest
 from glb_reader import Glb
 from report_pages import EPISODES, REPLAYS, page, played
 
+from manip.errors import UserError
 from manip.evaluation.episodes import Episode
 from manip.programs.train import config_of
 from manip.reports.commands import train_command
@@ -221,3 +223,22 @@ def test_the_page_lists_every_episode() -> None:
         2 * EPISODES
     )
     assert f"0 of {EPISODES} episodes end in success" in text
+
+
+def test_stored_results_are_shown(tmp_path: Path) -> None:
+    rate = {"success_held": {"rate": 0.5, "low": 0.25, "high": 0.75}}
+    level = {"value": 2.0, "success": rate, "return_mean": 1.0}
+    row = {"name": HOSTILE, "unit": "kg", "levels": [level, level]}
+    results = {"env": "native", "episodes": 7, "nominal": level, "perturbed": [row]}
+    (tmp_path / "robustness.json").write_text(json.dumps(results))
+    (tmp_path / "eval.json").write_text(
+        json.dumps({"env": "stock", "episodes": 9, "seed": 5, "success": rate})
+    )
+    record, *rest = played()
+    text = page((replace(record, path=tmp_path), *rest))
+    assert "in 9 stock episodes, seed 5" in text
+    assert "50 % <small>(25–75)</small>" in text
+    assert HOSTILE not in text
+    (tmp_path / "eval.json").write_text("{}")
+    with pytest.raises(UserError, match=r"eval.json holds no results .*manip evaluate"):
+        page((replace(record, path=tmp_path), *rest))

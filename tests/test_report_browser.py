@@ -63,13 +63,16 @@ def test_a_failure_is_replayed_and_scrubbed(
     assert panel.locator(".tag").inner_text() == "episode 1: failed"
     panel.get_by_role("button", name="Pause").click()
     length = float(panel.locator("input[type=range]").get_attribute("max"))
-    for share in (0.75, 0.25):
+    panel.locator(".speed select").select_option("0.25")
+    for share in (0.75, 1.0, 0.25):
         reader.scrub(share)
         assert reader.time() == pytest.approx(share * length, abs=0.03)
     panel.get_by_role("button", name="Play").click()
     start = reader.time()
-    tab.wait_for_timeout(1500)
-    assert reader.time() > start
+    moved = (
+        reader.time() != start for _ in range(100) if not tab.wait_for_timeout(100)
+    )
+    assert any(moved)
     assert reader.errors == []
     assert set(reader.requests) <= {"file", "blob"}
 

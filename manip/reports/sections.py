@@ -16,6 +16,12 @@ from manip.reports.funnel import Grade, Stage, describe, funnel, grade
 from manip.reports.recorded_episodes import RecordedEpisodes
 from manip.reports.replays import Replays, outcome
 from manip.reports.run_record import RunRecord
+from manip.reports.stored_results import (
+    StoredEvaluation,
+    StoredRobustness,
+    stored_evaluation,
+    stored_robustness,
+)
 from manip.reports.training_charts import learner_charts, training_charts
 from manip.training.config import to_dict
 from manip.training.recipes import recipe
@@ -84,6 +90,8 @@ class RunSection:
     sentences: list[str]
     terms: list[TermRow]
     motion: list[MotionRow]
+    stored: StoredEvaluation | None
+    robustness: StoredRobustness | None
     charts: list[Markup]
     learner: list[Markup]
     train: str | None
@@ -116,6 +124,8 @@ def make_section(
         sentences=describe(stages, len(episodes), record.reward_weights, usual),
         terms=_terms(record, played, usual),
         motion=_motion(episodes, record.policy.card.robot),
+        stored=stored_evaluation(record.path),
+        robustness=stored_robustness(record.path),
         charts=training_charts(record),
         learner=learner_charts(record),
         train=train_command(record.config) if record.config else None,

@@ -30,7 +30,9 @@ class Replay {
       row.addEventListener("click", () => this.play(number));
     this.toggle.addEventListener("click", () => this.playing ? this.pause() : this.resume());
     this.range.addEventListener("input", () => { this.pause(); this.seek(Number(this.range.value)); });
-    this.speed.addEventListener("change", () => { this.viewer.timeScale = Number(this.speed.value); });
+    this.speed.addEventListener("change", () => {
+      if (this.playing) this.viewer.timeScale = Number(this.speed.value);
+    });
     one(".previous").addEventListener("click", () => this.step(-1));
     one(".next").addEventListener("click", () => this.step(1));
     one(".home").addEventListener("click", () => this.home());
@@ -57,7 +59,6 @@ class Replay {
     this.home();
     viewer.addEventListener("load", () => this.start(), { once: true });
     viewer.addEventListener("error", () => this.fail("The 3-D scene cannot be drawn here."));
-    viewer.addEventListener("finished", () => { this.pause(); this.atEnd = true; });
     this.screen.prepend(viewer);
     try {
       viewer.src = await unpack(this.panel.querySelector(".scene").textContent);
@@ -122,17 +123,17 @@ class Replay {
   }
 
   seek(seconds) {
-    this.atEnd = seconds >= this.line.seconds;
-    this.viewer.currentTime = Math.min(seconds, this.line.seconds);
+    // A seek is multiplied by the speed. At its very end, a loop shows its beginning.
+    this.viewer.timeScale = 1;
+    this.viewer.currentTime = Math.min(seconds, this.line.seconds - 0.001);
     this.mark(seconds);
   }
 
   resume() {
-    if (this.atEnd) this.seek(0);
     this.playing = true;
     this.toggle.textContent = "Pause";
     this.viewer.timeScale = Number(this.speed.value);
-    this.viewer.play({ repetitions: 1 });
+    this.viewer.play();
     const follow = () => {
       if (!this.playing) return;
       this.mark(Math.min(this.viewer.currentTime, this.line.seconds));
