@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.browser
 
 PATIENCE = 120_000
-"""Time [ms] to draw a scene in software on a busy machine."""
+"""Time [ms] for a step: scenes are drawn in software, maybe on a busy machine."""
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +28,7 @@ class Reader:
     def __init__(self, browser: "Browser", report: Path, width: int) -> None:
         size = {"width": width, "height": 800}
         self.tab: Page = browser.new_context(viewport=size, offline=True).new_page()
+        self.tab.set_default_timeout(PATIENCE)
         self.errors: list[str] = []
         self.requests: list[str] = []
         self.tab.on("console", self._note)
@@ -36,7 +37,7 @@ class Reader:
         self.tab.goto(report.as_uri())
         self.panel = self.tab.locator(".replay").first
         self.panel.scroll_into_view_if_needed()
-        self.tab.locator(".replay[data-ready]").first.wait_for(timeout=PATIENCE)
+        self.tab.locator(".replay[data-ready]").first.wait_for()
 
     def _note(self, message) -> None:
         if message.type == "error":

@@ -44,6 +44,11 @@ class RunRecord:
         return f"{card.task} · {card.robot} · {card.method.upper()}"
 
     @property
+    def seconds(self) -> float | None:
+        """Wall time of the training [s]; None if it is not recorded."""
+        return self.rows[-1].get("seconds") if self.rows else None
+
+    @property
     def reward_set(self) -> str:
         """Reward set of the training; "shaped" if unknown."""
         known = self.config.reward if self.config else "shaped"
