@@ -41,14 +41,24 @@ def ray_collectors(address: str) -> Iterator[Place]:
     """
     ray = connected(address)
     try:
-        yield partial(_rollouts, ray)
+        yield partial(rollouts_on, ray)
     finally:
         ray.shutdown()
 
 
-def _rollouts(
+def rollouts_on(
     ray: Any, config: TrainConfig, envs: Sequence[TaskEnv]
 ) -> list[RemoteRollout]:
+    """Have the groups of a run's environments stepped by actors.
+
+    Args:
+        ray: the package, after `manip.cluster.ray_cluster.connected`.
+        config: options of the run.
+        envs: its groups of environments, for their shapes.
+
+    Raises:
+        UserError: the run cannot be split, or the cluster has too few CPUs.
+    """
     check_elsewhere(config, "--ray")
     _check_room(ray, len(envs))
     shared = SharedWeights(ray.put)
