@@ -15,7 +15,7 @@ from manip.cluster.remote_rollout import (
     State,
 )
 from manip.envs.adapters.torchrl import TaskEnv
-from manip.errors import UserError, one_line
+from manip.errors import UserError
 from manip.sim.robosuite_log import quiet_robosuite
 from manip.training.config import TrainConfig
 from manip.training.groups import check_elsewhere
@@ -127,7 +127,7 @@ class _Collector:
                 "no free CPU (see `ray status`)"
             ) from error
         except errors.RayError as error:
-            raise LostError(one_line(error)) from error
+            raise LostError(str(error).splitlines()[0]) from error
 
 
 class _Actor:
