@@ -17,6 +17,8 @@ from manip.envs.faults import non_finite
 from manip.envs.image_stacks import ImageStacks
 from manip.envs.measure_cache import MeasureCache
 from manip.envs.option_checks import state_array
+from manip.envs.optional_abilities import OptionalAbilities
+from manip.envs.perturber import Perturber
 from manip.envs.reward_range import RewardRange
 from manip.envs.task import Measures, Task
 from manip.envs.task_check import check_memory, check_task
@@ -33,7 +35,7 @@ from manip.sim.env_ids import checked_env_ids
 Array = np.ndarray
 
 
-class TaskBatch(FaultRecorder, ABC):
+class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
     """Base class of the backends, which move the environments.
 
     Args:
@@ -53,6 +55,7 @@ class TaskBatch(FaultRecorder, ABC):
         reward_weights: term -> weight, as paid.
         reward_names: names of the terms, in order.
         measure_names: names of the visible measures, in order.
+        control_dt: control period [s].
         elapsed: [N] control steps since each episode began.
         episode: [N] number of each environment's episode; -1 before the first.
         faults, fault_count, stop_at_faults, dump_folder: see `FaultRecorder`.
@@ -71,6 +74,7 @@ class TaskBatch(FaultRecorder, ABC):
         self.task = task
         self.num_envs = num_envs
         self.action_dim = action_dim
+        self.control_dt = 1 / control_freq
         self.reward_set = reward = options.reward
         self.seed = check_seed(options.seed)
         self.purpose = check_purpose(options.purpose)
@@ -87,7 +91,7 @@ class TaskBatch(FaultRecorder, ABC):
             self._cache = MeasureCache(task, num_envs, self.read, self._version)
             outputs = evaluate(task, self._cache.get(), reward)
             self._visible = VisibleMeasures(
-                task, num_envs, self._cache.get, 1 / control_freq
+                task, num_envs, self._cache.get, self.control_dt
             )
         self.reward_names = tuple(self.reward_weights)
         self.measure_names = self._visible.names
@@ -101,6 +105,9 @@ class TaskBatch(FaultRecorder, ABC):
             (num_envs, self.observation_spec.dim), np.float32
         )
         self._non_finite = np.zeros(num_envs, bool)
+        self._perturber: Perturber | None = None
+        if options.perturbations:
+            self._perturber = Perturber(options.perturbations, self)
 
     @abstractmethod
     def read(self) -> Measures:
@@ -125,25 +132,6 @@ class TaskBatch(FaultRecorder, ABC):
     @abstractmethod
     def _move(self, action: Array) -> Array:
         """Advance all environments one control step; [N] bool, those that diverged."""
-
-    def _draw(self, env_ids: Array) -> Mapping[str, Array]:
-        """Part name -> uint8 [n, H, W, 3], the cameras of the given environments."""
-        raise UserError(f"{type(self).__name__} has no cameras")
-
-    def save_state(self) -> dict[str, Any]:
-        """Complete state, as plain values and arrays."""
-        raise UserError(f"{type(self).__name__} cannot save its state")
-
-    def load_state(self, state: dict[str, Any]) -> None:
-        """Restore what `save_state` returned; `observe` then shows it."""
-        raise UserError(f"{type(self).__name__} cannot restore a state")
-
-    def record(self) -> dict[str, Array]:
-        """Rows [N, ...] from which each environment's present state can be restored.
-
-        They are part of what `save_state` returns, under the same names.
-        """
-        raise UserError(f"{type(self).__name__} cannot record its states")
 
     def _clocks(self) -> dict[str, Any]:
         """The part of the state that all backends share."""
@@ -190,10 +178,14 @@ class TaskBatch(FaultRecorder, ABC):
         self._begun[env_ids] = True
         if len(env_ids):
             with blamed(self.task):
+                if self._perturber:
+                    self._perturber.begin(env_ids)
                 with self._cache.restarting(env_ids):
                     self._start_episodes(env_ids)
                 self._update_memory(env_ids)
                 self._visible.begin(env_ids)
+                if self._perturber:
+                    self._perturber.observe_start(env_ids, self.read(), self.elapsed)
             self._image_stacks.restart(env_ids)
 
     def step(self, action: Array) -> TimeStep:
@@ -210,8 +202,11 @@ class TaskBatch(FaultRecorder, ABC):
         action = np.asarray(action)
         if not self._begun.all():
             raise UserError("step() was called before reset(): begin an episode first")
+        perturber = self._perturber
         with exits_blamed(self.task):
-            diverged = self._move(action)
+            diverged = self._move(
+                perturber.act(action, self.elapsed) if perturber else action
+            )
         self.elapsed += 1
         self._image_stacks.append()
         if diverged.any():
@@ -220,6 +215,8 @@ class TaskBatch(FaultRecorder, ABC):
                 [("action", no_number), ("physics", diverged & ~no_number)]
             )
         with blamed(self.task):
+            if self._perturber:
+                self._perturber.observe_step(self.read(), self.elapsed)
             time_step = self._time_step((self.elapsed >= self.horizon) | diverged)
             self._visible.step()
             self._update_memory(np.flatnonzero(~diverged))
@@ -272,8 +269,11 @@ class TaskBatch(FaultRecorder, ABC):
         terminated = outputs.failure
         reward = weighted_sum(outputs.terms, self.reward_weights)
         self._range.check(reward)
+        observation = self.observation_spec.join(outputs.parts)
+        if self._perturber:
+            observation = self._perturber.observation(self.elapsed)
         time_step = TimeStep(
-            observation=self.observation_spec.join(outputs.parts),
+            observation=observation,
             reward=reward,
             reward_terms=outputs.terms,
             success=outputs.success,

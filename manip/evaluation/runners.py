@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -16,15 +16,20 @@ import torch
 from manip.cameras import CameraConfig
 from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
+from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.backends.worker_pool import end_with_parent
 from manip.envs.episode_streams import EVALUATION, Purpose
 from manip.envs.make_batch import Backend, make_batch
+from manip.envs.perturbation import Perturbations
 from manip.envs.task import Task
+from manip.envs.task_batch import TaskBatch
+from manip.evaluation.episode_details import DetailTracker
 from manip.evaluation.episodes import Episode, Penalty, Policy, run_episodes
+from manip.looks import Looks
 from manip.observation import check_observation
 from manip.robot_config import RobotConfig
 from manip.sim.robosuite_log import quiet_robosuite
-from manip.sim.scene import Fidelity
+from manip.sim.scene import Fidelity, Scene
 
 Array = np.ndarray
 
@@ -37,6 +42,14 @@ class StepPenalties(Protocol):
 
     def penalties(self, measures: Array, names: Sequence[str]) -> Array:
         """[...]: penalties of steps with measures [..., M] of these names."""
+
+
+@runtime_checkable
+class ActsInBatch(Protocol):
+    """A policy that needs more than the observation, such as a task's expert."""
+
+    def acting_in(self, batch: TaskBatch) -> Policy:
+        """The policy for a batch whose next episodes are about to begin."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +72,9 @@ class EpisodeSettings:
         taste: penalises the steps; None for nothing.
         looks: suite of fixed looks of the native backend's images (`manip.looks`);
             None for robosuite's own look.
+        perturbations: what differs from the nominal task.
+        details: whether `Episode.details` are recorded; the motion of the robot by the
+            native backend only.
     """
 
     task: str | Task
@@ -71,14 +87,17 @@ class EpisodeSettings:
     backend: Backend = "stock"
     fidelity: Fidelity = "exact"
     taste: StepPenalties | None = None
-    looks: str | None = None
+    looks: str | Looks | None = None
+    perturbations: Perturbations = ()
+    details: bool = False
 
 
 def evaluate_policy(
-    policy: Policy,
+    policy: Policy | ActsInBatch,
     settings: EpisodeSettings,
     progress: Progress = lambda _: None,
     processes: int | None = None,
+    scene: Scene | None = None,
 ) -> list[Episode]:
     """Run the episodes: natively in one batch, else in several processes.
 
@@ -91,13 +110,14 @@ def evaluate_policy(
         progress: called with the number of episodes that have just ended.
         processes: processes that run stock episodes, one for each usable CPU unless
             given; with 1, this very process. The number changes the speed only.
+        scene: compiled scene of native episodes, instead of building one.
 
     Raises:
         UserError: the environment lacks a part of the observation.
         ChildProcessError: a process has died.
     """
     if settings.backend == "native":
-        env = make_env(settings, settings.episodes)
+        env = make_env(settings, settings.episodes, scene)
         results = run_settings(env, policy, settings, settings.episodes)
         progress(len(results))
         return results
@@ -105,15 +125,20 @@ def evaluate_policy(
     return list(_counted(episodes, progress))
 
 
-def make_env(settings: EpisodeSettings, num_envs: int = 1) -> TaskEnv:
+def make_env(
+    settings: EpisodeSettings, num_envs: int = 1, scene: Scene | None = None
+) -> TaskEnv:
     """Environments whose next episodes are the first of the settings.
+
+    `scene` is a compiled scene of the native backend, instead of building one.
 
     Raises:
         UserError: the environment lacks a part of the observation.
     """
     options: dict[str, Any] = {"hard_reset": True}
     if settings.backend == "native":
-        options = {"fidelity": settings.fidelity}
+        options = {"fidelity": settings.fidelity, "motion": settings.details}
+        options |= {"scene": scene} if scene else {}
     batch = make_batch(
         settings.task,
         num_envs,
@@ -123,26 +148,31 @@ def make_env(settings: EpisodeSettings, num_envs: int = 1) -> TaskEnv:
         purpose=settings.purpose,
         cameras=settings.cameras,
         looks=settings.looks or 0.0,
+        perturbations=settings.perturbations,
         **options,
     )
     if settings.observation is not None:
         check_observation(settings.observation, batch.observation_spec)
-    return TaskEnv(batch, measures=settings.taste is not None)
+    motion = settings.details and isinstance(batch, NativeBatch)
+    return TaskEnv(batch, measures=settings.taste is not None, motion=motion)
 
 
 def run_settings(
-    env: TaskEnv, policy: Policy, settings: EpisodeSettings, episodes: int
+    env: TaskEnv, policy: Policy | ActsInBatch, settings: EpisodeSettings, episodes: int
 ) -> list[Episode]:
-    """Run episodes, and penalise their steps if the settings name a taste."""
+    """Run episodes; penalties and details are recorded if the settings say so."""
+    if isinstance(policy, ActsInBatch):
+        policy = policy.acting_in(env.batch)
     penalty: Penalty | None = None
     if settings.taste:
         names = env.batch.measure_names
         penalty = partial(settings.taste.penalties, names=names)
-    return run_episodes(env, policy, episodes, penalty=penalty)
+    details = DetailTracker(env) if settings.details else None
+    return run_episodes(env, policy, episodes, penalty=penalty, details=details)
 
 
 def _stock_episodes(
-    policy: Policy, settings: EpisodeSettings, processes: int
+    policy: Policy | ActsInBatch, settings: EpisodeSettings, processes: int
 ) -> Iterator[Episode]:
     processes = min(processes, settings.episodes)
     if processes == 1:
@@ -165,11 +195,11 @@ def _stock_episodes(
 
 
 def _stock_episode(
-    env: TaskEnv, policy: Policy, settings: EpisodeSettings, index: int
+    env: TaskEnv, policy: Policy | ActsInBatch, settings: EpisodeSettings, index: int
 ) -> Episode:
     """Run episode `index` of the settings, independent of earlier episodes."""
     env.batch.restart(episode=index)
-    return run_settings(env, policy, settings, 1)[0]
+    return replace(run_settings(env, policy, settings, 1)[0], index=index)
 
 
 def _end(pool: ProcessPoolExecutor) -> None:
@@ -196,7 +226,7 @@ def interrupts_blocked() -> Iterator[None]:
 _worker: dict[str, Any] = {}
 
 
-def _start_worker(policy: Policy, settings: EpisodeSettings) -> None:
+def _start_worker(policy: Policy | ActsInBatch, settings: EpisodeSettings) -> None:
     """Prepare a process; the environment is built later, where errors are returned."""
     end_with_parent()
     quiet_robosuite()

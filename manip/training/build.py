@@ -15,12 +15,14 @@ from manip.agents.registry import load_algorithm
 from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.episode_streams import CHOICE
+from manip.envs.interface import interface_of
 from manip.envs.make_batch import make_batch
 from manip.envs.task_batch import TaskBatch
 from manip.errors import UserError
 from manip.training.config import SCALE, TrainConfig
 from manip.training.groups import groups_of
 from manip.training.inputs import cameras_of, spaces_of
+from manip.training.randomisation import load_randomisation
 from manip.training.reward_weights import parse_weights
 from manip.training.teacher import check_teacher, expert_of, with_reference
 from manip.versions import versions
@@ -56,8 +58,9 @@ def training_env(config: TrainConfig, group: int, groups: int) -> TaskEnv:
     batch = _batch(
         config,
         num_envs,
-        cameras=cameras_of(config, config.image_quality),
+        cameras=cameras_of(config),
         looks=config.looks,
+        perturbations=load_randomisation(config.randomise),
         fidelity=config.fidelity,
         threads=max(1, share_threads(config)[0] // groups),
         horizon=config.horizon,
@@ -76,13 +79,15 @@ def training_env(config: TrainConfig, group: int, groups: int) -> TaskEnv:
 def evaluation_env(config: TrainConfig) -> TaskEnv:
     """Build the environments of evaluations: exact physics, the task's own horizon.
 
+    Images are of the quality and the looks of training.
     Their episodes serve to choose the best checkpoint (purpose CHOICE): the run never
     trains on them, and `manip evaluate` reports on others.
     """
     batch = _batch(
         config,
         config.eval_episodes,
-        cameras=cameras_of(config, "exact"),
+        cameras=cameras_of(config),
+        looks=config.looks,
         threads=config.threads,
         purpose=CHOICE,
     )
@@ -143,6 +148,7 @@ def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Po
     """Return the agent's present policy, with all that an evaluator needs."""
     actor, inputs = agent.actor, spaces_of(config, env).inputs
     encoders = actor.sizes if isinstance(actor, ImageActor) else None
+    spec = seen_parts(env.batch.observation_spec, inputs)
     card = PolicyCard(
         task=config.task,
         robot=config.robot,
@@ -150,7 +156,7 @@ def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Po
         controller=config.controller,
         control_freq=config.control_freq,
         action_dim=env.action_spec.shape[-1],
-        observation=seen_parts(env.batch.observation_spec, inputs).to_dict(),
+        observation=spec.to_dict(),
         hidden=widths_of(actor.body)[1:-1],
         squash=actor.squash,
         bins=actor.bins,
@@ -159,8 +165,12 @@ def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Po
         image_features=encoders.features if encoders else 0,
         image_quality=config.image_quality if encoders else "",
         looks=config.looks,
+        randomised=[each.to_dict() for each in load_randomisation(config.randomise)],
         env_steps=steps,
         seed=config.seed,
         versions=versions(),
+        horizon=env.batch.horizon,
+        fidelity=config.fidelity,
+        **vars(interface_of(env.batch, spec.names)),
     )
     return Policy(card, actor)

@@ -1,6 +1,7 @@
 """NativeBatch: N environments of a task on the batch engine."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -19,6 +20,7 @@ from manip.envs.task_batch import TaskBatch
 from manip.envs.task_check import check_start
 from manip.envs.task_errors import blamed
 from manip.envs.time_step import TimeStep
+from manip.envs.varied_starts import VariedStarts
 from manip.errors import UserError, at_least, check_choice, shown
 from manip.looks import check_looks
 from manip.robot_config import RobotConfig, check_robot_config
@@ -26,6 +28,7 @@ from manip.sim.batch_engine import BatchEngine
 from manip.sim.engine import Snapshot
 from manip.sim.not_copied import DeepCopied
 from manip.sim.robosuite_factory import PANDA
+from manip.sim.robot_motion import RobotMotion
 from manip.sim.scene import Fidelity, Scene, load_scene
 from manip.sim.scene_cameras import SceneCameras
 
@@ -90,7 +93,13 @@ class NativeBatch(DeepCopied, TaskBatch):
                 task.robosuite_name, task.sensors, robot, fidelity
             )
             milestones = len(task.milestone_names)
+        quantities = [each.quantity for each in episodes.perturbations]
+        self._varied = VariedStarts(self.scene, task.sensors, quantities)
+        self.scene = self._varied.scene
+        if episodes.motion:
+            self.scene = replace(self.scene, with_peaks=True)
         self.engine = BatchEngine(self.scene, num_envs, threads)
+        self._robot_motion = RobotMotion(self.scene) if episodes.motion else None
         self._stagger = stagger
         self._restart_fraction = restart_fraction
         self._restarts = (
@@ -121,6 +130,11 @@ class NativeBatch(DeepCopied, TaskBatch):
         """A copy of the stock model with the environment's model fields."""
         return self.engine.visual_model(self.engine.states[env_id])
 
+    def motion(self) -> dict[str, Array]:
+        """As `RobotMotion.read`."""
+        motion = self._robot_motion
+        return motion.read(self.engine) if motion else super().motion()
+
     def step(self, action: Array) -> TimeStep:
         """As `TaskBatch.step`; visited states go to the restart buffer."""
         time_step = super().step(action)
@@ -140,6 +154,8 @@ class NativeBatch(DeepCopied, TaskBatch):
         streams = EpisodeStreams(self.seed, numbers, episodes, self.purpose)
         self._looks.begin(env_ids, self.seed, self.purpose, numbers, episodes)
         start = self.task.sample_start(self.scene, streams)
+        if self._perturber:
+            start = self._varied.apply(start, self._perturber.model_values(env_ids))
         self.engine.reset(env_ids, start.qpos, start.fields)
         if self._stagger:
             first = episodes == 0
@@ -200,6 +216,7 @@ class NativeBatch(DeepCopied, TaskBatch):
             "readings": snapshot.readings,
             **self._clocks(),
             **self._looks.save_state(),
+            **(self._perturber.save_state() if self._perturber else {}),
             "restarts": self._restarts and self._restarts.save_state(),
         }
 
@@ -214,6 +231,9 @@ class NativeBatch(DeepCopied, TaskBatch):
         readings = state_array(state, "readings", now.readings)
         self._restore_clocks(state)
         self._looks.load_state(state)
+        if self._perturber:
+            self._perturber.begin(np.flatnonzero(self._begun))
+            self._perturber.load_state(state)
         if self._restarts:
             self._restarts.load_state(state["restarts"])
         self.engine.restore(Snapshot(states, readings))
