@@ -15,6 +15,7 @@ from manip.agents.registry import load_algorithm
 from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.episode_streams import CHOICE
+from manip.envs.interface import interface_of
 from manip.envs.make_batch import make_batch
 from manip.envs.task_batch import TaskBatch
 from manip.errors import UserError
@@ -143,6 +144,7 @@ def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Po
     """Return the agent's present policy, with all that an evaluator needs."""
     actor, inputs = agent.actor, spaces_of(config, env).inputs
     encoders = actor.sizes if isinstance(actor, ImageActor) else None
+    spec = seen_parts(env.batch.observation_spec, inputs)
     card = PolicyCard(
         task=config.task,
         robot=config.robot,
@@ -150,7 +152,7 @@ def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Po
         controller=config.controller,
         control_freq=config.control_freq,
         action_dim=env.action_spec.shape[-1],
-        observation=seen_parts(env.batch.observation_spec, inputs).to_dict(),
+        observation=spec.to_dict(),
         hidden=widths_of(actor.body)[1:-1],
         squash=actor.squash,
         bins=actor.bins,
@@ -162,5 +164,8 @@ def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Po
         env_steps=steps,
         seed=config.seed,
         versions=versions(),
+        horizon=env.batch.horizon,
+        fidelity=config.fidelity,
+        **vars(interface_of(env.batch, spec.names)),
     )
     return Policy(card, actor)

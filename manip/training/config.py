@@ -194,20 +194,27 @@ def lasting(config: TrainConfig) -> dict[str, Any]:
 def check_lasting(recorded: dict[str, Any], config: TrainConfig) -> None:
     """Compare the `lasting` options of a run with those that it is resumed with.
 
+    Options that did not exist yet when the run began have their defaults.
+
     Raises:
         UserError: one of them differs.
     """
-    requested = lasting(config)
+    requested, before = lasting(config), _defaults(config.algo) | recorded
     changed = [
-        f"{name} was {recorded.get(name)!r}, not {requested.get(name)!r}"
-        for name in sorted(recorded.keys() | requested.keys())
-        if recorded.get(name) != requested.get(name)
+        f"{name} was {before.get(name)!r}, not {requested.get(name)!r}"
+        for name in sorted(before.keys() | requested.keys())
+        if before.get(name) != requested.get(name)
     ]
     if changed:
         raise UserError(
             f"the run cannot be resumed with other options: {'; '.join(changed)}. "
             "Leave them out, or start another run with another --out"
         )
+
+
+def _defaults(algo: str) -> dict[str, Any]:
+    """The `lasting` options of a run for which none was given."""
+    return lasting(TrainConfig(algo=algo, agent=load_algorithm(algo).Config()))
 
 
 def from_dict(values: dict[str, Any]) -> TrainConfig:

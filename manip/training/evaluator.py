@@ -1,6 +1,7 @@
 """Evaluations of the policy while a run trains."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import isfinite
 from typing import Any
 
 from manip.agents.agent import Agent
@@ -65,9 +66,14 @@ class Evaluator:
         episodes = run_episodes(self.env, policy, self._config.eval_episodes)
         milestones = self.env.batch.task.milestone_names
         result: dict[str, Any] = summarise(episodes, milestones)
+        success = {kind: rate.rate for kind, rate in result["success"].items()}
+        mean_return = result["return_mean"]
+        values = {"episodes": len(episodes), **success}
+        if isfinite(mean_return):
+            values["return"] = mean_return
         return PolicyEvaluation(
-            policy=policy,
-            success={kind: rate.rate for kind, rate in result["success"].items()},
-            mean_return=result["return_mean"],
+            policy=replace(policy, card=replace(policy.card, evaluation=values)),
+            success=success,
+            mean_return=mean_return,
             milestones=result["milestones"],
         )
