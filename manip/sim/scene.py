@@ -43,11 +43,11 @@ class Scene(NotCopied):
     Attributes:
         physics: the model that is stepped: stock MJCF without visual geoms, with
             contact sensors for the touches and then force sensors.
-        visual: the stock model, for pictures.
+        visual: the stock model, for images.
         stock: the robosuite environment.
         layout: indices, names and gains.
         physics_fields: where the fields of `layout.fields` lie in `physics`; None for
-            those that only pictures show.
+            those that only images show.
         touch_of_sensor: for each contact sensor the touch to which it adds.
         substeps: simulation steps in a control period.
         control_dt: control period [s].

@@ -22,6 +22,7 @@ from manip.errors import UserError
 from manip.training.config import SCALE, TrainConfig
 from manip.training.groups import groups_of
 from manip.training.inputs import cameras_of, spaces_of
+from manip.training.randomisation import load_randomisation
 from manip.training.reward_weights import parse_weights
 from manip.training.teacher import check_teacher, expert_of, with_reference
 from manip.versions import versions
@@ -57,8 +58,9 @@ def training_env(config: TrainConfig, group: int, groups: int) -> TaskEnv:
     batch = _batch(
         config,
         num_envs,
-        cameras=cameras_of(config, config.image_quality),
+        cameras=cameras_of(config),
         looks=config.looks,
+        perturbations=load_randomisation(config.randomise),
         fidelity=config.fidelity,
         threads=max(1, share_threads(config)[0] // groups),
         horizon=config.horizon,
@@ -77,13 +79,15 @@ def training_env(config: TrainConfig, group: int, groups: int) -> TaskEnv:
 def evaluation_env(config: TrainConfig) -> TaskEnv:
     """Build the environments of evaluations: exact physics, the task's own horizon.
 
+    Images are of the quality and the looks of training.
     Their episodes serve to choose the best checkpoint (purpose CHOICE): the run never
     trains on them, and `manip evaluate` reports on others.
     """
     batch = _batch(
         config,
         config.eval_episodes,
-        cameras=cameras_of(config, "exact"),
+        cameras=cameras_of(config),
+        looks=config.looks,
         threads=config.threads,
         purpose=CHOICE,
     )
@@ -161,6 +165,7 @@ def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Po
         image_features=encoders.features if encoders else 0,
         image_quality=config.image_quality if encoders else "",
         looks=config.looks,
+        randomised=[each.to_dict() for each in load_randomisation(config.randomise)],
         env_steps=steps,
         seed=config.seed,
         versions=versions(),

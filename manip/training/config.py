@@ -76,13 +76,18 @@ class TrainConfig:
     to draw and to learn from."""
     image_quality: Literal["exact", "lean"] = "lean"
     """Images of training. exact: robosuite's bytes; lean: without reflections and with
-    fewer triangles, several times faster. Evaluation always uses exact images."""
+    fewer triangles, several times faster. `manip evaluate` uses exact images."""
     frames: Annotated[int, Range(1, 16)] = 1
     """Latest images that the actor sees of each camera (frame stack). More of them
     show motion, and what has left the view."""
     looks: Annotated[float, SHARE] = 0.0
     """Strength, from 0 to 1, of random changes of colours, textures, lights and camera
-    poses in each training episode (domain randomisation). Evaluations have none."""
+    poses in each episode (domain randomisation), also of the evaluations that choose
+    the best policy."""
+    randomise: str = ""
+    """What differs from episode to episode of the training besides images, such as
+    masses, friction and delays (domain randomisation): the name of a shipped list (see
+    `manip list`), or a YAML file of your own. Evaluations have none."""
     teacher: str | None = None
     """Policy that `--algo bc` imitates instead of the task's expert: a run folder, a
     policy folder or the name of a shipped policy. It sees the whole observation."""
