@@ -26,7 +26,7 @@ from manip.agents.registry import algorithm_names
 from manip.envs.external_task import external_names
 from manip.envs.task_registry import task_names
 from manip.errors import UserError
-from manip.evaluation import recorded_episode
+from manip.evaluation import episode_recording
 from manip.evaluation import runners as evaluation
 from manip.programs import cli, evaluate, main, render
 from manip.robot_config import CONTROLLERS, ROBOTS
@@ -345,7 +345,7 @@ def test_a_task_of_another_library_is_not_rendered(manip, run, monkeypatch) -> N
         raise UserError("dm_control/reach is stepped by dm_control")
 
     other = SimpleNamespace(batch=SimpleNamespace(visual_model=visual_model))
-    monkeypatch.setattr(recorded_episode, "make_env", lambda *_: other)
+    monkeypatch.setattr(episode_recording, "make_env", lambda *_: other)
     monkeypatch.setattr(render, "record", None)
     line = refusal(manip("render", str(run)))
     assert "dm_control/reach is stepped by dm_control" in line

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from manip.evaluation.recorded_episode import RecordedEpisode
+from manip.evaluation.episode_recording import RecordedEpisode
 from manip.io.atomic_files import replace_file
 from manip.io.video import Caption, save_animation
 from manip.sim.renderer import OwnView, render_frames

@@ -11,7 +11,7 @@ import tyro
 from manip.envs.make_batch import Backend
 from manip.envs.task import Task
 from manip.errors import UserError, at_least, shown
-from manip.evaluation.recorded_episode import RecordedEpisode, first_state, record
+from manip.evaluation.episode_recording import RecordedEpisode, first_state, record
 from manip.evaluation.runners import EpisodeSettings
 from manip.io.output_paths import check_output
 from manip.io.printable import printable

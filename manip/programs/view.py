@@ -12,7 +12,7 @@ import torch
 import tyro
 
 from manip.errors import UserError, at_least, shown
-from manip.evaluation.recorded_episode import RecordedEpisode, first_state, record
+from manip.evaluation.episode_recording import RecordedEpisode, first_state, record
 from manip.programs import cli
 from manip.sim.window import Window
 from manip.training.baselines import Baseline

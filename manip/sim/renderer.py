@@ -42,7 +42,8 @@ _LOOK_AT = {
 }
 """Cameras for robosuite's table at (0, 0, 0.8) m and a base at x = -0.56 m."""
 
-_VISUAL_GROUP = 1  # robosuite's groups: 0 collision, 1 visual, 2 mouse targets
+VISUAL_GROUP = 1
+"""Group of the geoms that are drawn; robosuite: 0 collision, 1 visual, 2 mouse."""
 
 
 def own_view(camera: str) -> OwnView:
@@ -148,7 +149,7 @@ def _draw(
 def _visual_only() -> mujoco.MjvOption:
     options = mujoco.MjvOption()
     options.geomgroup[:] = 0
-    options.geomgroup[_VISUAL_GROUP] = 1
+    options.geomgroup[VISUAL_GROUP] = 1
     return options
 
 

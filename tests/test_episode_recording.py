@@ -15,8 +15,8 @@ from manip.agents.policy import load_policy
 from manip.envs import make_batch
 from manip.envs.task_registry import load_task
 from manip.errors import UserError
+from manip.evaluation.episode_recording import RecordedEpisode, record
 from manip.evaluation.episodes import Episode
-from manip.evaluation.recorded_episode import RecordedEpisode, record
 from manip.evaluation.runners import EpisodeSettings
 from manip.programs.film import Film, save_film, save_stills
 from manip.sim import gl
