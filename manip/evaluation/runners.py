@@ -167,6 +167,11 @@ def make_env(
     return TaskEnv(batch, measures=settings.taste is not None, motion=motion)
 
 
+def acting(policy: Policy | ActsInBatch, batch: TaskBatch) -> Policy:
+    """The policy for a batch whose next episodes are about to begin."""
+    return policy.acting_in(batch) if isinstance(policy, ActsInBatch) else policy
+
+
 def run_settings(
     env: TaskEnv,
     policy: Policy | ActsInBatch,
@@ -178,10 +183,9 @@ def run_settings(
 
     An episode does not depend on how many run side by side, to the last bit.
     """
-    if isinstance(policy, ActsInBatch):
-        act = policy.acting_in(env.batch)
-    else:
-        act = in_blocks(policy) if settings.backend == "native" else policy
+    act = acting(policy, env.batch)
+    if settings.backend == "native" and not isinstance(policy, ActsInBatch):
+        act = in_blocks(act)
     penalty: Penalty | None = None
     if settings.taste:
         names = env.batch.measure_names
