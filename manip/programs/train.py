@@ -28,6 +28,7 @@ from manip.training.terminal import TerminalProgress
 
 _TEXT_OPTIONS = {
     *("--task", "--algo", "--robot", "--out", "--wandb", "--init", "--teacher"),
+    "--dataset",
     *("--agent.reference", "--preferences", "--labels.taste", "--ray"),
 }
 """Options whose value is text and must not be rewritten as a number."""
@@ -75,6 +76,7 @@ def main(arguments: Sequence[str]) -> int:
             progress.say(f"manip: {task.notice}")
         result = train(config, callback=progress, place=place)
         if result.finished:
+            progress.say(f"a page about it: manip report {config.folder}")
             progress.say(f"trained policy: {result.policy}")
     if result.waiting:
         return WAITING

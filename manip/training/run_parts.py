@@ -11,6 +11,7 @@ from manip.training.averages import TrainingAverages
 from manip.training.build import build_agent, overlaps, training_envs
 from manip.training.collector import Collector, Order, Rollout, RolloutSource
 from manip.training.config import TrainConfig
+from manip.training.demonstrations import check_dataset, use_dataset
 from manip.training.evaluator import Evaluator
 from manip.training.fault_report import FaultReport
 from manip.training.initial_policy import start_agent
@@ -22,6 +23,7 @@ from manip.training.preferences import (
     with_preferences,
     with_taste,
 )
+from manip.training.teacher import teacher_digest
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,7 @@ class RunParts:
         guard: checks the agent's gradients and losses.
         averages: recent training averages.
         faults: reports what went wrong in environments and updates.
+        teacher: digest of the weights of the policy that is imitated; empty if none.
         notes: lines that the run prints when it starts.
     """
 
@@ -46,6 +49,7 @@ class RunParts:
     guard: NanGuard
     averages: TrainingAverages
     faults: FaultReport
+    teacher: str
     notes: tuple[str, ...] = ()
 
     def messages(self) -> Iterator[str]:
@@ -82,11 +86,13 @@ def build_parts(
         UserError: an option does not fit, or there is not enough memory.
     """
     check_preferences(config)
+    check_dataset(config)
     envs = training_envs(config)
     evaluator = Evaluator(config)
     check_memory(config, spaces_of(config, evaluator.env))
     agent = build_agent(config, evaluator.env)
     notes = [*start_agent(config, agent, evaluator.env), *_gradient_notes(config)]
+    recorded = use_dataset(config, agent, envs)
     agent = with_preferences(config, agent, envs[0])
     guard = NanGuard(agent.optimisers(), config.faults == "stop")
     milestones = evaluator.env.batch.task.milestone_names
@@ -98,11 +104,16 @@ def build_parts(
         agent=agent,
         evaluator=evaluator,
         collector=Collector(
-            place(config, envs), agent, overlaps(config), reward, _order(config)
+            recorded or place(config, envs),
+            agent,
+            overlaps(config),
+            reward,
+            _order(config),
         ),
         guard=guard,
         averages=TrainingAverages(milestones, weights),
         faults=FaultReport(envs, guard),
+        teacher=teacher_digest(config),
         notes=tuple(notes),
     )
 
