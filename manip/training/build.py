@@ -14,6 +14,7 @@ from manip.agents.policy_card import PolicyCard
 from manip.agents.registry import load_algorithm
 from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
+from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.episode_streams import CHOICE
 from manip.envs.make_batch import make_batch
 from manip.envs.task_batch import TaskBatch
@@ -85,6 +86,26 @@ def evaluation_env(config: TrainConfig) -> TaskEnv:
         cameras=cameras_of(config, "exact"),
         threads=config.threads,
         purpose=CHOICE,
+    )
+    return TaskEnv(batch)
+
+
+def curve_env(config: TrainConfig, training: TaskBatch) -> TaskEnv:
+    """Build the environments of light evaluations: physics and length of training.
+
+    Their episodes begin as those of `evaluation_env`, and share the scene of the
+    environments that the run trains in.
+    """
+    native = isinstance(training, NativeBatch)
+    batch = _batch(
+        config,
+        config.curve_episodes,
+        cameras=cameras_of(config, config.image_quality),
+        fidelity=config.fidelity,
+        threads=config.threads,
+        horizon=config.horizon,
+        purpose=CHOICE,
+        **({"scene": training.scene} if native else {}),
     )
     return TaskEnv(batch)
 

@@ -127,7 +127,7 @@ def _success(rows: Sequence[dict[str, float]], best: list[float]) -> dict[str, f
     """Success of the evaluation with the best score."""
     kinds = ("success_once", "success_at_end", "success_held")
     for row in rows:
-        if [row["eval/success_held"], row["eval/return"]] == best:
+        if [row.get("eval/success_held"), row.get("eval/return")] == best:
             return {kind: row[f"eval/{kind}"] for kind in kinds}
     return {}
 
