@@ -1,5 +1,6 @@
 """Versions of everything that a result may depend on."""
 
+import os
 import platform
 from importlib.metadata import PackageNotFoundError, version
 
@@ -25,3 +26,16 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             installed[package] = "not installed"
     return installed
+
+
+def differences(expected: dict[str, str]) -> str:
+    """What this machine has in other versions, in a line; empty if all are equal."""
+    here = versions()
+    changed = [
+        f"{package} {here.get(package)}, not {version}"
+        for package, version in expected.items()
+        if here.get(package) != version
+    ]
+    if not changed:
+        return ""
+    return f"node {os.uname().nodename} has {'; '.join(changed)}: install the same"

@@ -1,4 +1,4 @@
-"""Cameras: robosuite's pictures from every backend, byte for byte."""
+"""Cameras: robosuite's images from every backend, byte for byte."""
 
 import copy
 import gc
@@ -51,7 +51,7 @@ def rows_after(engine: BatchEngine, state: Array) -> Array:
 
 
 def played(batch: TaskBatch, resets: int, steps: int) -> Iterator[dict[str, Array]]:
-    """Pictures [1, H, W, 3] at resets and after random steps."""
+    """Images [1, H, W, 3] at resets and after random steps."""
     rng = np.random.default_rng(0)
     for _ in range(resets):
         batch.begin(np.array([0]))
@@ -60,9 +60,7 @@ def played(batch: TaskBatch, resets: int, steps: int) -> Iterator[dict[str, Arra
             yield batch.step(rng.uniform(-1, 1, (1, batch.action_dim))).images
 
 
-def assert_pictures_are_robosuites(
-    name: str, size: int, resets: int, steps: int
-) -> None:
+def assert_images_are_robosuites(name: str, size: int, resets: int, steps: int) -> None:
     task, cameras = load_task(name), CameraConfig(BOTH, size)
     stock = make_batch(task, backend="stock", cameras=cameras)
     native = make_batch(task, 2, seed=5)
@@ -75,15 +73,15 @@ def assert_pictures_are_robosuites(
             assert (ours[part][0] != theirs[part][0]).any()
 
 
-def test_pictures_are_robosuites_byte_for_byte() -> None:
-    assert_pictures_are_robosuites("Lift", 32, resets=2, steps=1)
+def test_images_are_robosuites_byte_for_byte() -> None:
+    assert_images_are_robosuites("Lift", 32, resets=2, steps=1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [32, 64, 128])
 @pytest.mark.parametrize("name", ["Lift", "PickPlaceCan", "Door"])
-def test_every_picture_of_two_episodes_is_robosuites(name: str, size: int) -> None:
-    assert_pictures_are_robosuites(name, size, resets=2, steps=20)
+def test_every_image_of_two_episodes_is_robosuites(name: str, size: int) -> None:
+    assert_images_are_robosuites(name, size, resets=2, steps=20)
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +91,7 @@ def lift_scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def lean(lift_scene: Scene) -> TaskBatch:
-    """Three environments with two stacked pictures of the wrist."""
+    """Three environments with two stacked images of the wrist."""
     return make_batch(
         "Lift",
         3,
@@ -111,7 +109,7 @@ def actions(batch: TaskBatch, seed: int) -> Array:
     return np.random.default_rng(seed).uniform(-1, 1, shape)
 
 
-def test_pictures_of_a_batch_are_those_of_single_environments(lean: TaskBatch) -> None:
+def test_images_of_a_batch_are_those_of_single_environments(lean: TaskBatch) -> None:
     lean.begin(np.arange(3))
     lean.step(actions(lean, 0))
     together = lean.step(actions(lean, 1)).images[PART][..., 3:]
@@ -140,7 +138,7 @@ def test_a_restart_redraws_its_environments_only(lean: TaskBatch) -> None:
     assert (now[1] != last[1]).any()
 
 
-def test_a_saved_state_repeats_its_pictures(lean: TaskBatch) -> None:
+def test_a_saved_state_repeats_its_images(lean: TaskBatch) -> None:
     lean.begin(np.arange(3))
     lean.step(actions(lean, 0))
     state = copy.deepcopy(lean.save_state())
@@ -151,7 +149,7 @@ def test_a_saved_state_repeats_its_pictures(lean: TaskBatch) -> None:
     np.testing.assert_array_equal(again, expected)
 
 
-def test_a_state_without_pictures_is_refused(lean: TaskBatch) -> None:
+def test_a_state_without_images_is_refused(lean: TaskBatch) -> None:
     lean.begin(np.arange(3))
     state = lean.save_state()
     del state["images"]
@@ -169,7 +167,7 @@ def test_an_environment_that_breaks_shows_its_last_state(lean: TaskBatch) -> Non
     assert (images[0] != first[0]).any()
 
 
-def test_torchrl_gives_pictures_under_their_parts_names(lean: TaskBatch) -> None:
+def test_torchrl_gives_images_under_their_parts_names(lean: TaskBatch) -> None:
     env = TaskEnv(lean)
     check_env_specs(env)
     step = env.rollout(5, break_when_any_done=False)
@@ -184,7 +182,7 @@ def test_torchrl_gives_pictures_under_their_parts_names(lean: TaskBatch) -> None
 
 
 @pytest.mark.slow
-def test_lean_pictures_are_close_to_exact_ones(lift_scene: Scene) -> None:
+def test_lean_images_are_close_to_exact_ones(lift_scene: Scene) -> None:
     engine = BatchEngine(lift_scene, 2)
     exact = SceneCameras(lift_scene, SMALL).draw(engine.states)
     lean = SceneCameras(lift_scene, CameraConfig(BOTH, 32, "lean")).draw(engine.states)
@@ -270,7 +268,7 @@ def resident_bytes() -> int:
 
 
 @pytest.mark.slow
-def test_memory_is_flat_over_ten_thousand_pictures(lift_scene: Scene) -> None:
+def test_memory_is_flat_over_ten_thousand_images(lift_scene: Scene) -> None:
     batch = make_batch(
         "Lift", 50, scene=lift_scene, cameras=CameraConfig((WRIST,), 32, "lean")
     )
@@ -342,7 +340,7 @@ def looking(scene: Scene, looks: float | str, num_envs: int = 3) -> TaskBatch:
 
 
 @pytest.mark.slow
-def test_looks_change_pictures_and_nothing_else(lift_scene: Scene) -> None:
+def test_looks_change_images_and_nothing_else(lift_scene: Scene) -> None:
     plain, varied = looking(lift_scene, 0.0), looking(lift_scene, 1.0)
     for seed in range(2):
         before, after = (b.step(actions(b, seed)) for b in (plain, varied))
@@ -364,9 +362,9 @@ def test_a_suite_has_three_looks_that_return(lift_scene: Scene) -> None:
         seeds = batch._looks.seeds
         assert seeds.tolist() == [1, 2, 3, 1, 2, 3]
         rows = batch.engine.states[[0] * 6]
-        pictures = batch._drawn.draw(rows, seeds)[PART]
-        np.testing.assert_array_equal(pictures[:3], pictures[3:])
-        assert all((pictures[i] != pictures[i - 1]).any() for i in range(3))
+        images = batch._drawn.draw(rows, seeds)[PART]
+        np.testing.assert_array_equal(images[:3], images[3:])
+        assert all((images[i] != images[i - 1]).any() for i in range(3))
 
 
 @pytest.mark.parametrize(

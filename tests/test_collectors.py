@@ -7,8 +7,9 @@ from threading import Event
 from typing import Any
 
 import pytest
-from training_runs import assert_equal_runs, shared_scene, tiny
+from training_runs import ROLLOUT, assert_equal_runs, shared_scene, tiny
 
+from manip.cluster.policy_weights import SharedWeights, whole
 from manip.cluster.remote_rollout import (
     Collected,
     CollectorProcess,
@@ -32,33 +33,52 @@ class Elsewhere:
     """A collector as in another process: all that it gets and gives is copied.
 
     Args:
+        shared: stores the weights.
         lives: rollouts that it collects before it is lost; any number if None.
     """
 
-    def __init__(self, arguments: tuple[Any, ...], lives: int | None = None) -> None:
+    def __init__(
+        self,
+        arguments: tuple[Any, ...],
+        lives: int | None = None,
+        shared: SharedWeights | None = None,
+    ) -> None:
         self._process = CollectorProcess(*copied(arguments))
-        self._left = lives
+        self._left, self._shared = lives, shared or SharedWeights(copied)
 
-    def collect(self, *arguments: Any) -> Collected:
+    def collect(self, policy: Any, *arguments: Any) -> Collected:
         if self._left == 0:
             raise LostError("the node has died")
         if self._left is not None:
             self._left -= 1
-        return copied(self._process.collect(*copied(arguments)))
+        policy = whole(*self._shared.split(policy))
+        return copied(self._process.collect(policy, *copied(arguments)))
 
 
 def copied(value: Any) -> Any:
     return pickle.loads(pickle.dumps(value))
 
 
-def elsewhere(lives: int | None = None) -> Callable[..., list[RemoteRollout]]:
-    """All collectors elsewhere; the first process of each is lost after its lives."""
+def elsewhere(
+    lives: int | None = None, stored: list[Any] | None = None
+) -> Callable[..., list[RemoteRollout]]:
+    """All collectors elsewhere; the first process of each is lost after its lives.
+
+    Weights that are stored for the collectors are appended to `stored`.
+    """
+    stored = [] if stored is None else stored
+
+    def put(weights: Any) -> Any:
+        stored.append(weights)
+        return copied(weights)
+
+    shared = SharedWeights(put)
 
     def place(config: TrainConfig, envs: Sequence[TaskEnv]) -> list[RemoteRollout]:
         def starter(group: int) -> Callable[[], Elsewhere]:
             left = iter([lives])
             arguments = (config, group, len(envs))
-            return lambda: Elsewhere(arguments, next(left, None))
+            return lambda: Elsewhere(arguments, next(left, None), shared)
 
         return [
             RemoteRollout(e, starter(g), f"collector {g}") for g, e in enumerate(envs)
@@ -73,13 +93,14 @@ def test_a_run_does_not_depend_on_the_place_of_its_collectors(
 ) -> None:
     """Two collectors in threads, elsewhere, and elsewhere with losses."""
     messages: list[str] = []
+    stored: list[Any] = []
 
     def note(progress: Progress) -> None:
         messages.extend(progress.messages)
 
     for name, options in (
         ("here", {}),
-        ("elsewhere", {"place": elsewhere()}),
+        ("elsewhere", {"place": elsewhere(stored=stored)}),
         ("lost", {"place": elsewhere(3), "callback": note}),
     ):
         config = tiny(algo, tmp_path / name, collectors=2, steps=384)
@@ -87,6 +108,8 @@ def test_a_run_does_not_depend_on_the_place_of_its_collectors(
         assert_equal_runs(tmp_path / "here", tmp_path / name)
     lost = "collector 0 was lost and is replaced: the node has died"
     assert messages.count(lost) == 1
+    rollouts = 384 // ROLLOUT[algo]
+    assert 1 < len(stored) <= rollouts + 1  # once, not for each collector
 
 
 def test_a_run_resumes_in_another_place(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Model fields: right by name in the physics model, in pictures and against stock."""
+"""Model fields: right by name in the physics model, in images and against stock."""
 
 from collections.abc import Mapping
 
@@ -49,7 +49,7 @@ CHANGES: Mapping[str, list[float]] = {
     "shine": [0.75],
     "mark": [0.0, 0.01, -0.02],
 }
-PICTURES = {"colour", "lens", "shine"}
+IMAGES = {"colour", "lens", "shine"}
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +129,7 @@ def test_a_field_acts_as_in_stock(name: str, scene: Scene) -> None:
     np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-7)
     plain = in_engine(scene, {})
     changed = max(np.abs(ours[r] - plain[r]).max() for r in MOTION)
-    assert (changed > 1e-4) == (name not in PICTURES | {"table_slip"}), changed
+    assert (changed > 1e-4) == (name not in IMAGES | {"table_slip"}), changed
 
 
 def test_fields_do_not_shift_one_another(scene: Scene) -> None:
@@ -161,7 +161,7 @@ def test_fields_that_a_start_does_not_set_go_back(scene: Scene) -> None:
     np.testing.assert_array_equal(used.states, fresh.states)
 
 
-def test_pictures_show_every_field(scene: Scene) -> None:
+def test_images_show_every_field(scene: Scene) -> None:
     engine = BatchEngine(scene, 1)
     rows = {name: np.array([values]) for name, values in CHANGES.items()}
     engine.reset(np.array([0]), scene.layout.qpos[None], rows)
@@ -194,7 +194,7 @@ def test_a_field_that_does_not_exist_is_refused(field, text: str, scene: Scene) 
         build_scene(scene.stock, Sensors(fields={"x": field}))
 
 
-def test_in_the_fast_fidelity_a_field_of_a_geom_it_lacks_is_for_pictures() -> None:
+def test_in_the_fast_fidelity_a_field_of_a_geom_it_lacks_is_for_images() -> None:
     stock = make_stock("Lift", seed=3)
     name = next(
         stock.sim.model._model.geom(i).name

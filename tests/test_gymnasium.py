@@ -350,7 +350,7 @@ assert type(load_task("tasks.press:Press")).__module__ == "tasks.press"
 """
 
 
-# Pictures
+# Images
 
 
 @pytest.mark.skipif(gl.find_backend() is None, reason=gl.INSTALL_HINT)

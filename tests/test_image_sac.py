@@ -16,11 +16,11 @@ from toy_images import (
     CAMERA,
     QUICK_IMAGE_SAC,
     SPACES,
-    PicturedPoints,
+    ImagePoints,
     image_agent,
+    image_of,
     learn,
     mean_return,
-    picture,
 )
 from training_runs import assert_equal_runs, new_trainer, stop_after
 
@@ -41,7 +41,7 @@ def batch_of(count: int = 16, seed: int = 0) -> ImageTransitions:
     terminated = (torch.arange(count)[:, None] % 5 == 0).float()
     rows = torch.cat([x, action, after, reward, steps, terminated], 1)
     return ImageTransitions(
-        rows, {CAMERA.name: picture(x)}, {CAMERA.name: picture(after)}
+        rows, {CAMERA.name: image_of(x)}, {CAMERA.name: image_of(after)}
     )
 
 
@@ -136,7 +136,7 @@ def test_images_are_shifted_in_targets_and_in_the_actors_loss() -> None:
 def test_a_restored_agent_goes_on_bit_for_bit() -> None:
     config = replace(QUICK_IMAGE_SAC, updates_per_step=0.05)
     agents, ends = [image_agent(config), image_agent(config, seed=1)], []
-    learn(agents[0], Rollout(PicturedPoints([20] * 16)), rollouts=4)
+    learn(agents[0], Rollout(ImagePoints([20] * 16)), rollouts=4)
     for name, module in agents[1].modules().items():
         module.load_state_dict(agents[0].modules()[name].state_dict())
     for name, optimiser in agents[1].optimisers().items():
@@ -144,7 +144,7 @@ def test_a_restored_agent_goes_on_bit_for_bit() -> None:
     agents[1].load_extra_state(agents[0].extra_state())
     for agent in agents:
         torch.manual_seed(5)
-        learn(agent, Rollout(PicturedPoints([20] * 16, seed=2)), rollouts=2)
+        learn(agent, Rollout(ImagePoints([20] * 16, seed=2)), rollouts=2)
         modules = {name: m.state_dict() for name, m in agent.modules().items()}
         ends.append({"modules": modules, "agent": agent.extra_state()})
     assert_same(*ends)
@@ -194,5 +194,5 @@ def test_a_run_resumes_bit_for_bit_and_its_policy_starts_another(
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_learns_to_go_to_the_goal_from_images(seed: int) -> None:
     agent = image_agent(seed=seed)
-    learn(agent, Rollout(PicturedPoints([20] * 16, seed)), rollouts=12)
+    learn(agent, Rollout(ImagePoints([20] * 16, seed)), rollouts=12)
     assert mean_return(agent) > 15.5

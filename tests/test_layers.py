@@ -11,7 +11,7 @@ ROOT = Path(__file__).parent.parent
 
 TOWER = (
     {"errors"},
-    {"untrusted_code"},
+    {"deploy", "untrusted_code"},
     {"compiled", "cpus", "observation", "plugins", "robot_config", "versions"},
     {"cameras", "looks"},
     {"io"},
@@ -39,6 +39,8 @@ HOME = {
     "tyro": ("manip/programs",),
     "flask": ("manip/preferences/page",),
     "envpool": ("manip/benchmarks",),
+    "onnx": ("manip/agents/exports.py",),
+    "onnxruntime": ("manip/deploy/exported_policy.py", "manip/agents/exports.py"),
     "dm_env": ("manip/envs/adapters/dm_env.py",),
     "gymnasium": ("manip/envs/adapters", "manip/benchmarks"),
     "ray": ("manip/cluster/ray_cluster.py", "manip/cluster/ray_task.py"),

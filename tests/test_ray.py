@@ -1,4 +1,4 @@
-"""Sweeps on a Ray cluster: two nodes on this machine, one of which is killed."""
+"""Sweeps and collectors on a Ray cluster: two nodes here, one of which is killed."""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -12,11 +12,15 @@ from training_runs import assert_equal_runs, tiny
 from manip.cluster import ray_executor
 from manip.cluster.job import Job, Report
 from manip.cluster.ledger import Ledger
+from manip.cluster.ray_collectors import ray_collectors
 from manip.cluster.ray_executor import RayExecutor
 from manip.cluster.ray_head import Head, Setup
 from manip.cluster.run_job import run_job
 from manip.errors import UserError
-from manip.programs import sweep
+from manip.programs import cli, sweep
+from manip.programs import train as train_program
+from manip.training.progress import Progress
+from manip.training.run import train
 from manip.versions import versions
 
 
@@ -25,6 +29,14 @@ def test_without_ray_the_option_says_how_to_install_it(tmp_path, monkeypatch) ->
     arguments = f"--task Reach --ray auto --out {tmp_path / 'a'}".split()
     with pytest.raises(UserError, match="--ray needs the package ray: pip install ray"):
         sweep.main(arguments)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_training_says_how_to_install_ray(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    arguments = f"--task Reach --collectors 2 --ray auto --out {tmp_path / 'a'}"
+    assert cli.run(train_program.main, arguments.split()) == 2
+    assert "pip install ray" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -155,3 +167,49 @@ def test_an_address_without_a_cluster_is_named(tmp_path: Path) -> None:
     pytest.importorskip("ray")
     with pytest.raises(UserError, match="there is no Ray cluster at auto"):
         RayExecutor("auto", tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("algo", ["ppo", "a2c", "sac", "a3c"])
+def test_a_run_does_not_depend_on_ray(algo: str, cluster: Any, tmp_path: Path) -> None:
+    cluster.add_node(num_cpus=1)
+    groups = {} if algo == "a3c" else {"collectors": 2}
+    assert train(tiny(algo, tmp_path / "here", **groups)).finished
+    with ray_collectors(cluster.address) as place:
+        assert train(tiny(algo, tmp_path / "ray", **groups), place=place).finished
+    assert_equal_runs(tmp_path / "here", tmp_path / "ray")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("algo", ["ppo", "sac"])
+def test_a_collector_that_dies_is_replaced(
+    algo: str, cluster: Any, tmp_path: Path
+) -> None:
+    """One of two, with its node; a third node takes its place."""
+    nodes, messages = [cluster.add_node(num_cpus=1) for _ in range(2)], []
+    options = {"collectors": 3, "num_envs": 6, "steps": 768}
+    assert train(tiny(algo, tmp_path / "here", **options)).finished
+
+    def kill(progress: Progress) -> None:
+        messages.extend(progress.messages)
+        if progress.env_steps > 300 and len(nodes) == 2:
+            cluster.add_node(num_cpus=1)
+            cluster.remove_node(nodes.pop(), allow_graceful=False)
+
+    config = tiny(algo, tmp_path / "ray", **options)
+    with ray_collectors(cluster.address) as place:
+        assert train(config, place=place, callback=kill).finished
+    assert_equal_runs(tmp_path / "here", tmp_path / "ray")
+    (message,) = [line for line in messages if "was lost" in line]
+    assert "is replaced" in message
+    assert "\n" not in message
+
+
+@pytest.mark.slow
+def test_more_collectors_than_cpus_are_refused(cluster: Any, tmp_path: Path) -> None:
+    config = tiny("ppo", tmp_path / "run", collectors=2)
+    with (
+        ray_collectors(cluster.address) as place,
+        pytest.raises(UserError, match=r"2 collectors take a CPU each, but .* has 1"),
+    ):
+        train(config, place=place)

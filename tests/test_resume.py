@@ -29,6 +29,7 @@ from training_runs import (
 from manip.errors import UserError
 from manip.io.tensor_trees import load_tree, save_tree
 from manip.training.checkpoint import bytes_of
+from manip.training.config import recorded
 from manip.training.run_logs import read_metrics
 
 
@@ -148,6 +149,28 @@ def test_a_run_does_not_resume_with_other_options(
     ):
         new_trainer(other).run()
     assert contents(folder) == before
+
+
+def test_a_run_from_before_an_option_resumes_with_its_default(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    trainer = new_trainer(tiny("ppo", folder))
+    stop_after(trainer, 5)
+    assert not trainer.run()
+
+    def forget(tree: Any) -> None:
+        del tree["config"]["collectors"], tree["config"]["agent.squash"]
+
+    rewrite(folder / "checkpoints" / "latest.safetensors", forget)
+    text = (folder / "config.yaml").read_text()
+    text = re.sub(r"^(collectors|  squash): .*\n", "", text, flags=re.MULTILINE)
+    (folder / "config.yaml").write_text(text)
+    assert "collectors" not in text
+    assert "squash" not in text
+    resumed = replace(recorded(folder), out=folder, resume=True)
+    with pytest.raises(UserError, match="collectors was 1, not 2"):
+        new_trainer(replace(resumed, collectors=2)).run()
+    assert new_trainer(resumed).run()
+    assert_equal_runs(finished("ppo").folder, folder)
 
 
 def test_a_run_that_resumes_with_other_versions_warns(tmp_path: Path) -> None:

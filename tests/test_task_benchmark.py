@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from training_runs import tiny
 
 from manip.benchmarks import bench_task as benchmark
 from manip.benchmarks.time_to_success import TimedRun, figures, median_time, summary
@@ -14,6 +15,7 @@ from manip.evaluation import runners as evaluate
 from manip.evaluation.statistics import Rate
 from manip.programs import cli
 from manip.programs.benchmark_task import main
+from manip.training.config import TrainConfig
 
 
 def timed(seconds: float, rate: float, learner: str = "manip SAC") -> TimedRun:
@@ -48,38 +50,39 @@ def test_a_run_is_summarised_in_one_line() -> None:
 @pytest.fixture
 def _tiny(monkeypatch) -> None:
     """Make training minimal, and evaluate in this process."""
-    train = benchmark._train
-    size = ("--num-envs", "4", "--threads", "1", "--agent.batch-size", "16")
-    less = ("--steps", "64", "--eval-every", "64", "--eval-episodes", "1", *size)
-    monkeypatch.setattr(
-        benchmark, "_train", lambda t, s, to, more=(): train(t, s, to, (*less, *more))
-    )
+
+    def recipe(task: str, algo: str) -> TrainConfig:
+        return tiny(algo, Path("unused"), task=task, steps=64, eval_every=64)
+
+    monkeypatch.setattr(benchmark, "recipe", recipe)
     monkeypatch.setattr(evaluate, "usable_cpus", lambda: 1)
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("_tiny")
-def test_manip_trains_in_a_process_and_is_evaluated_in_stock(
-    tmp_path: Path, capfd
-) -> None:
+def test_manip_trains_and_is_evaluated_in_stock(tmp_path: Path, capfd) -> None:
     file = tmp_path / "task.json"
-    arguments = ("--task", "Reach", "--seeds", "1", "--episodes", "1", "--no-peer")
+    arguments = ("--task", "Reach", "--seeds", "2", "--episodes", "1", "--no-peer")
     assert cli.run(main, [*arguments, "--json", str(file)]) == 0
     record = json.loads(file.read_text())
-    (result,) = record["runs"]
-    assert result["env_steps"] == 64
-    assert result["seconds"] > 1
-    assert result["success_held"]["rate"] == 0
+    assert [result["seed"] for result in record["runs"]] == [0, 1]
+    for result in record["runs"]:
+        assert result["env_steps"] == 64
+        assert result["seconds"] > 0
+        assert result["success_held"]["rate"] == 0
     assert record["figures"]["seconds_to_held"] is None
     printed = capfd.readouterr()
     assert "missed" in printed.out
-    assert "seed 0 (1 of 1)" in printed.err
+    assert "seed 0 (1 of 2)" in printed.err
 
 
-@pytest.mark.slow
-def test_failed_training_is_an_error(tmp_path: Path, capfd) -> None:
-    with pytest.raises(benchmark.UserError, match="training Lift with seed 0 failed"):
-        benchmark._train("Lift", 0, tmp_path, ("--steps", "0"))
+def test_a_run_that_fails_is_an_error(monkeypatch, capsys) -> None:
+    def recipe(task: str, algo: str) -> TrainConfig:
+        return tiny(algo, Path("unused"), task=task, collectors=3)
+
+    monkeypatch.setattr(benchmark, "recipe", recipe)
+    assert cli.run(main, ["--task", "Reach", "--no-peer"]) == 2
+    assert "num_envs 4 does not split evenly" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

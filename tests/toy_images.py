@@ -1,4 +1,4 @@
-"""The toy problem with images: the actor sees a picture of the point, not its place."""
+"""The toy problem with images: the actor sees an image of the point, not its place."""
 
 from collections.abc import Sequence
 
@@ -18,7 +18,7 @@ from manip.training.collector import Rollout
 CAMERA = ObservationPart("eye_image", (8, 8, 3), "uint8", "camera")
 
 SPACES = Spaces(1, 1, ActorInputs(columns=(), cameras=(CAMERA,)))
-"""The critic sees the place x; the actor sees the picture only."""
+"""The critic sees the place x; the actor sees the image only."""
 
 QUICK_IMAGE_SAC = SACConfig(
     learning_rate=3e-3,
@@ -34,15 +34,15 @@ QUICK_IMAGE_SAC = SACConfig(
 )
 
 
-def picture(x: Tensor) -> Tensor:
+def image_of(x: Tensor) -> Tensor:
     """Images [N, 8, 8, 3] of points x [N, 1]: a bright stripe where the point is."""
     columns = torch.linspace(-1, 1, 8)
     stripe = (255 * torch.exp(-20 * (columns - x).square())).to(torch.uint8)
     return stripe[:, None, :, None].expand(-1, 8, 8, 3).contiguous()
 
 
-class PicturedPoints(Points):
-    """`Points` that also gives a picture of each point."""
+class ImagePoints(Points):
+    """`Points` that also gives an image of each point."""
 
     def __init__(self, limits: Sequence[int], seed: int = 0) -> None:
         super().__init__(limits, seed)
@@ -50,7 +50,7 @@ class PicturedPoints(Points):
         self.observation_spec[CAMERA.name] = Unbounded(shape, dtype=torch.uint8)
 
     def _tensors(self, truncated: Tensor) -> TensorDict:
-        return super()._tensors(truncated).set(CAMERA.name, picture(self.x))
+        return super()._tensors(truncated).set(CAMERA.name, image_of(self.x))
 
     def parts(self, state: TensorDictBase) -> dict[str, Tensor]:
         return super().parts(state) | {CAMERA.name: state[CAMERA.name]}
@@ -73,5 +73,5 @@ def mean_return(agent: SAC) -> float:
         image = parts[CAMERA.name]
         return agent.actor.decide(torch.zeros(len(image), 0), image)
 
-    episodes = run_episodes(PicturedPoints([20] * 100, seed=123), act, 100)
+    episodes = run_episodes(ImagePoints([20] * 100, seed=123), act, 100)
     return sum(episode.total_reward for episode in episodes) / len(episodes)

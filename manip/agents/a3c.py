@@ -18,7 +18,7 @@ run does not repeat.
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -48,6 +48,10 @@ class Worker(RolloutPolicy):
     def __init__(self, copy: A2C) -> None:
         super().__init__(copy.gaussian)
         self.copy = copy
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What acts; only the learner's process has the copy and its gradient."""
+        return {name: v for name, v in vars(self).items() if name != "copy"}
 
 
 class A3C(A2C):

@@ -15,6 +15,9 @@ from manip.errors import UserError, at_least, shown
 MIN_LOG_STD, MAX_LOG_STD = -5.0, 2.0
 """Range of a state-dependent log standard deviation, as in CleanRL's SAC."""
 
+NORM_EPSILON, NORM_CLIP = 1e-4, 10.0
+"""Constants of `RunningNorm`."""
+
 MOST_LAYERS = 64
 """Most hidden layers of a network."""
 MOST_NEURONS = 10**6
@@ -114,7 +117,8 @@ class RunningNorm(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Normalise x [..., D]."""
-        return ((x - self.mean) / (self.var + 1e-4).sqrt()).clamp(-10.0, 10.0)
+        normal = (x - self.mean) / (self.var + NORM_EPSILON).sqrt()
+        return normal.clamp(-NORM_CLIP, NORM_CLIP)
 
 
 class Actor(nn.Module):

@@ -1,7 +1,8 @@
 """A trained policy, and its files.
 
 policy.safetensors holds weights and card, with a checksum: it is the policy.
-policy.json holds the same card, for people to read. Loading runs no code of a file.
+policy.json holds the same card, and the form of the network, for people and programs
+without this package (docs/numpy_policy/act.py). Loading runs no code of a file.
 """
 
 import json
@@ -16,6 +17,7 @@ import torch
 from torch import Tensor
 
 from manip.agents.image_actor import ImageActor
+from manip.agents.network_form import network_form
 from manip.agents.networks import Actor, BinnedActor
 from manip.agents.policy_card import PolicyCard, read_card
 from manip.errors import UserError, one_line
@@ -62,11 +64,16 @@ class Policy:
         none = [image.new_zeros((len(image), 0), dtype=torch.float) for image in images]
         return self.actor.decide(torch.cat([*none, *vectors], -1), *images)
 
+    @property
+    def described(self) -> dict[str, Any]:
+        """The card as plain values, with the form of the network as `network`."""
+        return asdict(self.card) | {"network": network_form(self.actor)}
+
     def save(self, folder: Path) -> None:
         """Write the policy's files, each whole or not at all."""
         weights = dict(self.actor.state_dict())
         save_tree(folder / WEIGHTS, {"card": asdict(self.card), "weights": weights})
-        write_text(folder / CARD, _to_json(self.card))
+        write_text(folder / CARD, json.dumps(self.described, indent=2) + "\n")
 
 
 def _image(value: Any, part: ObservationPart) -> Tensor:
@@ -165,10 +172,8 @@ def _compare(path: Path, card: PolicyCard) -> None:
 def _from_json(text: str) -> PolicyCard | None:
     """The card in a JSON file, whose later fields may be missing; None without."""
     try:
-        return read_card(json.loads(text))
+        values = json.loads(text)
+        values.pop("network", None)
+        return read_card(values)
     except Exception:  # a file can hold anything
         return None
-
-
-def _to_json(card: PolicyCard) -> str:
-    return json.dumps(asdict(card), indent=2) + "\n"

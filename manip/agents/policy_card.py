@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from manip.agents.image_encoder import MOST_CHANNELS, EncoderSizes
 from manip.agents.networks import MOST_NEURONS
 from manip.cameras import CameraConfig, part_name
+from manip.deploy.formulas import parse_formula
 from manip.errors import UserError, shown
 from manip.io.dataclass_values import build
 from manip.io.option_ranges import COUNT, WHOLE, Range, check_options
@@ -51,6 +52,18 @@ class PolicyCard:
         looks: strength of the random looks that it was trained with.
         image_convention: order of the rows: "opengl", the bottom row first, as
             robosuite's camera observations are.
+        horizon: length of the task's episodes [control steps]; 0 if it is not known.
+        fidelity: physics of the training.
+        evaluation: result of the evaluation that chose the policy: episodes, success
+            rates and mean return, in exact physics.
+        measurements: what a robot must measure: name -> shape, unit, frame, meaning.
+        formulas: part of the observation -> formula of the measurements, scales and
+            clips included, in the language of `manip.deploy.formulas`.
+        control: what an action does: name of the control law, range of its inputs,
+            motion [m, rad] at 1 and at -1, frame, gains, base frame, gripper.
+
+    The last three are empty for tasks of other libraries, and for policies of earlier
+    versions; `manip export` computes them then.
     """
 
     task: str
@@ -74,6 +87,14 @@ class PolicyCard:
     image_quality: Literal["", "exact", "lean"] = ""
     looks: Annotated[float, Range(0.0, 1.0)] = 0.0
     image_convention: Literal["opengl"] = "opengl"
+    horizon: Annotated[int, WHOLE] = 0
+    fidelity: Literal["", "exact", "fast"] = ""
+    evaluation: dict[str, float] = field(default_factory=dict)
+    measurements: dict[str, dict[str, str]] = field(default_factory=dict)
+    formulas: dict[str, str] = field(default_factory=dict)
+    control: dict[str, float | str | list[float] | list[str]] = field(
+        default_factory=dict
+    )
     format: Annotated[int, COUNT] = FORMAT
 
     @property
@@ -150,7 +171,8 @@ def read_card(values: Any) -> PolicyCard:
         )
     card = build(PolicyCard, values)
     check_options(card)
-    for text in _texts(asdict(card)):
+    _check_formulas(card)
+    for text in _texts(asdict(card) | {"formulas": [*card.formulas]}):
         if not TEXT.fullmatch(text):
             raise UserError(
                 f"the card holds text that is no plain name: {shown(text[:50])}"
@@ -163,6 +185,15 @@ def read_card(values: Any) -> PolicyCard:
             f"{least} to {MOST_NEURONS}"
         )
     return card
+
+
+def _check_formulas(card: PolicyCard) -> None:
+    """Raise `UserError` unless all formulas can be parsed; they are not evaluated."""
+    for name, text in card.formulas.items():
+        try:
+            parse_formula(text)
+        except ValueError as error:
+            raise UserError(f"formula of {shown(name)}: {error}") from None
 
 
 def _check_cameras(card: PolicyCard) -> None:

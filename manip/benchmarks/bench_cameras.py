@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from manip.benchmarks.camera_pictures import draw_pictures
+from manip.benchmarks.camera_images import draw_images
 from manip.benchmarks.engine_steps import (
     engine_at_start,
     random_actions,
@@ -29,7 +29,7 @@ Array = np.ndarray
 
 CAMERAS = ("agentview", "robot0_eye_in_hand")
 SIZES = (32, 64, 128)
-"""Height and width of the pictures [pixels]."""
+"""Height and width of the images [pixels]."""
 FRAMES = {"robosuite": 15, "exact": 15, "lean": 60}
 """Frames in one measurement, about half a second."""
 STATES = 4
@@ -59,8 +59,8 @@ def comparison(settings: Settings) -> Comparison:
 
 
 def plot(measurements: Measurements, path: Path) -> None:
-    """Draw the pictures themselves: see `manip.benchmarks.camera_pictures`."""
-    draw_pictures(measurements.comparison.task, path)
+    """Draw the images themselves: see `manip.benchmarks.camera_images`."""
+    draw_images(measurements.comparison.task, path)
 
 
 def _states(task: str) -> tuple[Scene, Array]:

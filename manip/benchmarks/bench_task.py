@@ -1,10 +1,9 @@
 """Train until a task is learned, and evaluate the policies in stock robosuite."""
 
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
@@ -12,43 +11,44 @@ from rich.console import Console
 from manip.agents.policy import load_policy
 from manip.benchmarks.peers import import_peer
 from manip.benchmarks.time_to_success import TimedRun, held_in_stock
-from manip.errors import UserError
-from manip.training.run_logs import read_metrics
-
-WARM_UP = ("--steps", "1", "--eval-episodes", "1")
-"""Options of a run that compiles all code and learns nothing."""
+from manip.cluster.executors import finish_runs
+from manip.cluster.job import JobResult
+from manip.training.config import TrainConfig
+from manip.training.recipes import recipe
 
 
 def manip_runs(task: str, seeds: int, episodes: int) -> Iterator[TimedRun]:
-    """Run `manip train` with the recipe of SAC, in a new process for each seed.
+    """Train with the recipe of SAC, one seed after another, each on all CPUs.
 
-    The time is that of the whole process, with a warm cache of compiled code.
+    The time is that of the whole run, from the construction of its environments to its
+    last file, in a process that has compiled all code.
+
+    Raises:
+        UserError: a run failed.
     """
-    console = Console(stderr=True)
+    run = recipe(task, "sac")
     with tempfile.TemporaryDirectory() as scratch:
-        console.rule("compiling")
-        _train(task, 0, Path(scratch) / "warm", WARM_UP)
+        _train(replace(run, steps=1, eval_episodes=1, out=Path(scratch) / "compile"))
         for seed in range(seeds):
-            console.rule(f"manip, seed {seed} ({seed + 1} of {seeds})")
-            yield _timed_run(task, seed, Path(scratch) / str(seed), episodes)
+            Console(stderr=True).rule(f"manip, seed {seed} ({seed + 1} of {seeds})")
+            yield _timed(
+                replace(run, seed=seed, out=Path(scratch) / f"{seed}"), episodes
+            )
 
 
-def _timed_run(task: str, seed: int, folder: Path, episodes: int) -> TimedRun:
+def _timed(run: TrainConfig, episodes: int) -> TimedRun:
     start = time.monotonic()
-    _train(task, seed, folder)
+    result = _train(run)
     seconds = time.monotonic() - start
-    policy = load_policy(folder)
-    rate = held_in_stock(task, policy, episodes, policy.card.robot_config)
-    steps = int(read_metrics(folder / "metrics.csv")[-1]["env_steps"])
-    return TimedRun("manip SAC", seed, seconds, steps, rate)
+    rate = held_in_stock(run.task, load_policy(run.folder), episodes, run.robot_config)
+    return TimedRun("manip SAC", run.seed, seconds, result.env_steps, rate)
 
 
-def _train(task: str, seed: int, folder: Path, more: Sequence[str] = ()) -> None:
-    program = (sys.executable, "-m", "manip.programs.main", "train", "--task", task)
-    command = (*program, "--seed", str(seed), "--out", str(folder), *more)
-    code = subprocess.run(command, check=False).returncode
-    if code:
-        raise UserError(f"training {task} with seed {seed} failed (exit code {code})")
+def _train(run: TrainConfig) -> JobResult:
+    results = finish_runs([run], processes=1)
+    if results is None:
+        raise KeyboardInterrupt
+    return results[0]
 
 
 def sb3_runs(task: str, seeds: int, limit: float, episodes: int) -> Iterator[TimedRun]:

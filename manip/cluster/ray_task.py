@@ -18,7 +18,7 @@ from manip.cluster.ray_head import Setup
 from manip.cluster.run_job import run_job
 from manip.io.atomic_files import is_partial
 from manip.sim.robosuite_log import quiet_robosuite
-from manip.versions import versions
+from manip.versions import differences
 
 CHECKPOINT = Path("checkpoints/latest.safetensors")
 
@@ -38,8 +38,7 @@ def run_on_node(job: Job, head: Any, setup: Setup) -> Outcome:
         head: the actor of `Head`.
         setup: of the sweep's machine.
     """
-    different = _different_versions(setup)
-    if different:
+    if different := differences(setup.versions):
         return Outcome("failed", error=different)
     if not ray.get(head.begin.remote(job.name)):
         return Outcome("stopped")
@@ -59,18 +58,6 @@ def _shares(setup: Setup) -> bool:
         return False
     os.chdir(setup.directory)
     return True
-
-
-def _different_versions(setup: Setup) -> str:
-    here = versions()
-    changed = [
-        f"{package} {here.get(package)}, not {version}"
-        for package, version in setup.versions.items()
-        if here.get(package) != version
-    ]
-    if not changed:
-        return ""
-    return f"node {os.uname().nodename} has {'; '.join(changed)}: install the same"
 
 
 def _run(

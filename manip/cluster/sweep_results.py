@@ -3,7 +3,6 @@
 import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from manip.cluster.sweep_folder import Planned
 from manip.errors import UserError, one_line
 from manip.evaluation.report import SUCCESS
 from manip.io.atomic_files import write_text
+from manip.io.csv_text import csv_text
 
 RESULTS = "results.csv"
 
@@ -52,15 +52,6 @@ def write_results(
     columns = [*OWN_COLUMNS, *(n for n in options if n not in OWN_COLUMNS)]
     rows = [_row(item, outcomes.get(item.job.name)) for item in planned]
     write_text(folder / RESULTS, csv_text(columns, rows))
-
-
-def csv_text(columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows as CSV; a column that a row lacks is left empty."""
-    text = StringIO()
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
 
 
 def _row(item: Planned, outcome: Outcome | None) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from manip.cluster.sweep_results import ScoredRun, csv_text
+from manip.cluster.sweep_results import ScoredRun
 from manip.evaluation.aggregates import (
     Array,
     Estimate,
@@ -19,6 +19,7 @@ from manip.evaluation.aggregates import (
     mean,
 )
 from manip.io.atomic_files import write_text
+from manip.io.csv_text import csv_text
 
 ALL_TASKS = "all tasks"
 

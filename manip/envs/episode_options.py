@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from manip.cameras import CameraConfig, check_cameras
 from manip.envs.episode_streams import TRAINING, Purpose, check_purpose, check_seed
+from manip.envs.option_checks import check_flag
 from manip.errors import UserError, at_least, shown
 from manip.looks import check_looks
 
@@ -24,6 +25,8 @@ class EpisodeOptions:
         cameras: cameras whose images are parts of the observation; None for none.
         looks: strength, from 0 to 1, of the random changes of each episode's look, or
             the name of a suite of fixed looks (see `manip.looks`); native backend only.
+        motion: whether `TaskBatch.motion` can be called; no effect but with the
+            native backend.
 
     Raises:
         UserError: an option is out of its range.
@@ -37,6 +40,7 @@ class EpisodeOptions:
     first_env: int = 0
     cameras: CameraConfig | None = None
     looks: float | str = 0.0
+    motion: bool = False
 
     def __post_init__(self) -> None:
         at_least(1, "horizon", 1 if self.horizon is None else self.horizon)
@@ -44,6 +48,7 @@ class EpisodeOptions:
         check_seed(self.seed)
         check_purpose(self.purpose)
         check_cameras(self.cameras)
+        check_flag("motion", self.motion)
         if check_looks(self.looks).groups and not check_cameras(self.cameras).names:
             raise UserError("looks change images only: name cameras, too")
 

@@ -17,6 +17,7 @@ from manip.envs.faults import non_finite
 from manip.envs.image_stacks import ImageStacks
 from manip.envs.measure_cache import MeasureCache
 from manip.envs.option_checks import state_array
+from manip.envs.optional_abilities import OptionalAbilities
 from manip.envs.reward_range import RewardRange
 from manip.envs.task import Measures, Task
 from manip.envs.task_check import check_memory, check_task
@@ -33,7 +34,7 @@ from manip.sim.env_ids import checked_env_ids
 Array = np.ndarray
 
 
-class TaskBatch(FaultRecorder, ABC):
+class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
     """Base class of the backends, which move the environments.
 
     Args:
@@ -53,6 +54,7 @@ class TaskBatch(FaultRecorder, ABC):
         reward_weights: term -> weight, as paid.
         reward_names: names of the terms, in order.
         measure_names: names of the visible measures, in order.
+        control_dt: control period [s].
         elapsed: [N] control steps since each episode began.
         episode: [N] number of each environment's episode; -1 before the first.
         faults, fault_count, stop_at_faults, dump_folder: see `FaultRecorder`.
@@ -71,6 +73,7 @@ class TaskBatch(FaultRecorder, ABC):
         self.task = task
         self.num_envs = num_envs
         self.action_dim = action_dim
+        self.control_dt = 1 / control_freq
         self.reward_set = reward = options.reward
         self.seed = check_seed(options.seed)
         self.purpose = check_purpose(options.purpose)
@@ -87,7 +90,7 @@ class TaskBatch(FaultRecorder, ABC):
             self._cache = MeasureCache(task, num_envs, self.read, self._version)
             outputs = evaluate(task, self._cache.get(), reward)
             self._visible = VisibleMeasures(
-                task, num_envs, self._cache.get, 1 / control_freq
+                task, num_envs, self._cache.get, self.control_dt
             )
         self.reward_names = tuple(self.reward_weights)
         self.measure_names = self._visible.names
@@ -125,25 +128,6 @@ class TaskBatch(FaultRecorder, ABC):
     @abstractmethod
     def _move(self, action: Array) -> Array:
         """Advance all environments one control step; [N] bool, those that diverged."""
-
-    def _draw(self, env_ids: Array) -> Mapping[str, Array]:
-        """Part name -> uint8 [n, H, W, 3], the cameras of the given environments."""
-        raise UserError(f"{type(self).__name__} has no cameras")
-
-    def save_state(self) -> dict[str, Any]:
-        """Complete state, as plain values and arrays."""
-        raise UserError(f"{type(self).__name__} cannot save its state")
-
-    def load_state(self, state: dict[str, Any]) -> None:
-        """Restore what `save_state` returned; `observe` then shows it."""
-        raise UserError(f"{type(self).__name__} cannot restore a state")
-
-    def record(self) -> dict[str, Array]:
-        """Rows [N, ...] from which each environment's present state can be restored.
-
-        They are part of what `save_state` returns, under the same names.
-        """
-        raise UserError(f"{type(self).__name__} cannot record its states")
 
     def _clocks(self) -> dict[str, Any]:
         """The part of the state that all backends share."""

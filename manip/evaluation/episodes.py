@@ -1,7 +1,7 @@
 """Run whole episodes, and record the outcome of each."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +9,8 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
+
+from manip.evaluation.episode_details import DetailTracker, EpisodeDetails
 
 Array = np.ndarray
 
@@ -39,6 +41,8 @@ class Episode:
         first_success: step of the first success, counted from 1; None without any.
         milestones: for each milestone, whether it was true in at least one step.
         penalty: mean penalty of a step; None if nothing was penalised.
+        index: number of the episode among those of `run_episodes`.
+        details: see `EpisodeDetails`; None if they were not requested.
     """
 
     env_id: int
@@ -50,6 +54,8 @@ class Episode:
     first_success: int | None
     milestones: tuple[bool, ...]
     penalty: float | None = None
+    index: int = 0
+    details: EpisodeDetails | None = None
 
 
 class EpisodeTracker:
@@ -144,6 +150,7 @@ def run_episodes(
     episodes: int,
     callback: Callback | None = None,
     penalty: Penalty | None = None,
+    details: DetailTracker | None = None,
 ) -> list[Episode]:
     """Run an exact number of episodes, the same number in each environment.
 
@@ -155,6 +162,7 @@ def run_episodes(
         episodes: a multiple of N.
         callback: called with the state before every step.
         penalty: penalises the steps of an environment that gives its measures.
+        details: accumulates the details of the episodes.
 
     Raises:
         ValueError: `episodes` is no multiple of N.
@@ -172,8 +180,13 @@ def run_episodes(
             callback(state)
         state["action"] = policy(env.parts(state))
         step, state = env.step_and_maybe_reset(state)
+        if details:
+            details.update(step["action"], step["next"])
         for episode in tracker.update(step["next"]):
+            more = details.finish(episode.env_id) if details else None
             if missing[episode.env_id]:
                 missing[episode.env_id] -= 1
-                finished.append(episode)
+                earlier = episodes // num_envs - 1 - int(missing[episode.env_id])
+                index = episode.env_id + num_envs * earlier
+                finished.append(replace(episode, index=index, details=more))
     return finished

@@ -18,6 +18,17 @@ SUCCESS = ("success_once", "success_at_end", "success_held")
 """Measures of success: in one step or more, in the last, in the last ten."""
 
 
+MOTION = {
+    "speed": "peak joint speed / limit",
+    "torque": "peak joint torque / limit",
+    "jerk": "peak joint jerk / limit",
+    "action_change": "change of action per step",
+    "hand_tilt": "largest hand tilt [rad]",
+    "self_contact": "steps with self-contact",
+}
+"""Entry of `Evaluation.motion` -> its words in the table."""
+
+
 @dataclass(frozen=True)
 class Evaluation:
     """The result of an evaluation of one policy; `to_json` is the text of eval.json.
@@ -36,6 +47,7 @@ class Evaluation:
         taste_penalty: mean penalty of a step, a mean over episodes.
         looks: suite of looks of the images; None for robosuite's own look.
         image_quality: of the images: exact, lean, or None if the policy sees none.
+        motion: see `motion_summary`; None if no motion was recorded.
     """
 
     task: str
@@ -57,6 +69,7 @@ class Evaluation:
     taste_penalty: Mean | None = None
     looks: str | None = None
     image_quality: str | None = None
+    motion: dict[str, float] | None = None
 
     def to_json(self) -> str:
         """Indented JSON with the fields above."""
@@ -108,6 +121,7 @@ def _rows(result: Evaluation) -> list[tuple[str, str, str]]:
     if result.first_success_median is not None:
         step = f"step {result.first_success_median:g}"
         rows.append(("median first success", step, ""))
+    rows += [(MOTION[n], f"{v:.3g}", "") for n, v in (result.motion or {}).items()]
     rows.append(("episodes, seed", f"{result.episodes}, {result.seed}", ""))
     rows.append(("wall time", f"{result.seconds:.1f} s", ""))
     return rows

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -16,10 +16,13 @@ import torch
 from manip.cameras import CameraConfig
 from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
+from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.backends.worker_pool import end_with_parent
 from manip.envs.episode_streams import EVALUATION, Purpose
 from manip.envs.make_batch import Backend, make_batch
 from manip.envs.task import Task
+from manip.envs.task_batch import TaskBatch
+from manip.evaluation.episode_details import DetailTracker
 from manip.evaluation.episodes import Episode, Penalty, Policy, run_episodes
 from manip.observation import check_observation
 from manip.robot_config import RobotConfig
@@ -37,6 +40,14 @@ class StepPenalties(Protocol):
 
     def penalties(self, measures: Array, names: Sequence[str]) -> Array:
         """[...]: penalties of steps with measures [..., M] of these names."""
+
+
+@runtime_checkable
+class ActsInBatch(Protocol):
+    """A policy that needs more than the observation, such as a task's expert."""
+
+    def acting_in(self, batch: TaskBatch) -> Policy:
+        """The policy for a batch whose next episodes are about to begin."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +70,8 @@ class EpisodeSettings:
         taste: penalises the steps; None for nothing.
         looks: suite of fixed looks of the native backend's images (`manip.looks`);
             None for robosuite's own look.
+        details: whether `Episode.details` are recorded; the motion of the robot by the
+            native backend only.
     """
 
     task: str | Task
@@ -72,10 +85,11 @@ class EpisodeSettings:
     fidelity: Fidelity = "exact"
     taste: StepPenalties | None = None
     looks: str | None = None
+    details: bool = False
 
 
 def evaluate_policy(
-    policy: Policy,
+    policy: Policy | ActsInBatch,
     settings: EpisodeSettings,
     progress: Progress = lambda _: None,
     processes: int | None = None,
@@ -113,7 +127,7 @@ def make_env(settings: EpisodeSettings, num_envs: int = 1) -> TaskEnv:
     """
     options: dict[str, Any] = {"hard_reset": True}
     if settings.backend == "native":
-        options = {"fidelity": settings.fidelity}
+        options = {"fidelity": settings.fidelity, "motion": settings.details}
     batch = make_batch(
         settings.task,
         num_envs,
@@ -127,22 +141,26 @@ def make_env(settings: EpisodeSettings, num_envs: int = 1) -> TaskEnv:
     )
     if settings.observation is not None:
         check_observation(settings.observation, batch.observation_spec)
-    return TaskEnv(batch, measures=settings.taste is not None)
+    motion = settings.details and isinstance(batch, NativeBatch)
+    return TaskEnv(batch, measures=settings.taste is not None, motion=motion)
 
 
 def run_settings(
-    env: TaskEnv, policy: Policy, settings: EpisodeSettings, episodes: int
+    env: TaskEnv, policy: Policy | ActsInBatch, settings: EpisodeSettings, episodes: int
 ) -> list[Episode]:
-    """Run episodes, and penalise their steps if the settings name a taste."""
+    """Run episodes; penalties and details are recorded if the settings say so."""
+    if isinstance(policy, ActsInBatch):
+        policy = policy.acting_in(env.batch)
     penalty: Penalty | None = None
     if settings.taste:
         names = env.batch.measure_names
         penalty = partial(settings.taste.penalties, names=names)
-    return run_episodes(env, policy, episodes, penalty=penalty)
+    details = DetailTracker(env) if settings.details else None
+    return run_episodes(env, policy, episodes, penalty=penalty, details=details)
 
 
 def _stock_episodes(
-    policy: Policy, settings: EpisodeSettings, processes: int
+    policy: Policy | ActsInBatch, settings: EpisodeSettings, processes: int
 ) -> Iterator[Episode]:
     processes = min(processes, settings.episodes)
     if processes == 1:
@@ -165,11 +183,11 @@ def _stock_episodes(
 
 
 def _stock_episode(
-    env: TaskEnv, policy: Policy, settings: EpisodeSettings, index: int
+    env: TaskEnv, policy: Policy | ActsInBatch, settings: EpisodeSettings, index: int
 ) -> Episode:
     """Run episode `index` of the settings, independent of earlier episodes."""
     env.batch.restart(episode=index)
-    return run_settings(env, policy, settings, 1)[0]
+    return replace(run_settings(env, policy, settings, 1)[0], index=index)
 
 
 def _end(pool: ProcessPoolExecutor) -> None:
@@ -196,7 +214,7 @@ def interrupts_blocked() -> Iterator[None]:
 _worker: dict[str, Any] = {}
 
 
-def _start_worker(policy: Policy, settings: EpisodeSettings) -> None:
+def _start_worker(policy: Policy | ActsInBatch, settings: EpisodeSettings) -> None:
     """Prepare a process; the environment is built later, where errors are returned."""
     end_with_parent()
     quiet_robosuite()

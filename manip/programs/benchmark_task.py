@@ -30,8 +30,8 @@ Runs = Sequence[TimedRun]
 class TaskBenchmark:
     """Measure the wall time until a task is learned, evaluated in stock robosuite.
 
-    manip: `manip train` with the shipped recipe of SAC, in a new process per seed. The
-    whole process is timed, with a warm cache of compiled code.
+    manip: the shipped recipe of SAC, one seed after another on all CPUs. The whole run
+    is timed, from the construction of its environments on, with compiled code.
 
     Stable-Baselines3: SAC on stock robosuite with robosuite's shaped reward and the
     options of robosuite's own benchmark, evaluated twelve times on the way.

@@ -56,7 +56,7 @@ def main(arguments: Sequence[str]) -> int:
     if not run.finished:
         return STOPPED
     _print_step(f"2/3  evaluate: {options.episodes} episodes in stock robosuite")
-    result = evaluate(Evaluate(options.out, "stock", options.episodes))
+    result = evaluate(Evaluate(options.out, episodes=options.episodes))
     write_text(options.out / "eval.json", result.to_json())
     _print_step("3/3  render and plot")
     render_video(Render(options.out, options.out / "video.mp4", steps=60))

@@ -14,18 +14,22 @@ from manip.cameras import Quality
 from manip.envs.external_task import library_of
 from manip.envs.make_batch import Backend
 from manip.errors import at_least
+from manip.evaluation.episode_table import episode_rows, episodes_csv
 from manip.evaluation.report import Evaluation, table
 from manip.io.atomic_files import write_text
 from manip.io.output_paths import check_output
 from manip.programs import cli
 from manip.programs.output import console
 from manip.sim.scene import Fidelity
+from manip.training.baselines import Baseline
 from manip.training.final_evaluation import (
     EvaluationOptions,
     check_episodes,
-    evaluate_on_task,
-    load_run,
+    load_policy_and_task,
+    measure_on_task,
 )
+
+EPISODES = "episodes.csv"
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,13 @@ class Evaluate:
     """
 
     run: Annotated[Path, tyro.conf.Positional]
-    """Run folder, policy folder, or name of a shipped policy (see `manip list`)."""
+    """Run folder, policy folder, or name of a shipped policy (see `manip list`). With
+    --policy, the task instead."""
+    policy: Baseline | None = None
+    """Policy that needs no training. expert: the task's expert; random: random actions;
+    untrained: a network as a training begins with it."""
+    robot: str = "Panda"
+    """Robot arm with --policy; a trained policy has its own."""
     env: Backend = "stock"
     """Backend that simulates the episodes. stock: robosuite.make(...) itself, or the
     library that defines the task; native: the batch engine, many times faster."""
@@ -62,6 +72,10 @@ class Evaluate:
     faster, without reflections and with fewer triangles."""
     json: Path | None = None
     """File for the result as JSON, besides the table."""
+    out: Path | None = None
+    """Folder for the result as JSON (eval.json) and a table of the episodes
+    (episodes.csv): success, first step of each milestone, sum of each reward term, and
+    with --env native how the robot moved."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -69,6 +83,8 @@ def main(arguments: Sequence[str]) -> int:
     options = cli.parse(Evaluate, arguments, "manip evaluate")
     if options.json:
         check_output(options.json, "--json")
+    if options.out:
+        check_output(options.out / EPISODES, "--out")
     torch.set_num_threads(1)
     result = evaluate(options)
     if options.json:
@@ -85,7 +101,7 @@ def evaluate(options: Evaluate) -> Evaluation:
     """
     check_episodes(options.episodes)
     at_least(0, "--seed", options.seed)
-    policy, task = load_run(options.run)
+    policy, task = load_policy_and_task(options.run, options.policy, options.robot)
     settings = EvaluationOptions(
         options.env,
         options.episodes,
@@ -94,10 +110,16 @@ def evaluate(options: Evaluate) -> Evaluation:
         taste=options.taste,
         looks=options.looks,
         image_quality=options.image_quality,
+        details=options.out is not None,
     )
     with Progress(console=Console(stderr=True), transient=True) as bar:
         name = f"{options.env} {library_of(policy.card.task)}"
         running = bar.add_task(name, total=options.episodes)
-        return evaluate_on_task(
+        result, episodes = measure_on_task(
             policy, task, settings, lambda n: bar.advance(running, n)
         )
+    if options.out:
+        write_text(options.out / "eval.json", result.to_json())
+        rows = episode_rows(episodes, task)
+        write_text(options.out / EPISODES, episodes_csv(rows))
+    return result

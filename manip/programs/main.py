@@ -16,6 +16,7 @@ PROGRAMS = {
     "comparisons": "check, summarise and merge comparisons of clips",
     "reward": "learn a reward from comparisons, and show what it pays for",
     "evaluate": "measure a policy's success, in stock robosuite or natively",
+    "export": "write a policy as ONNX, TorchScript or numpy arrays",
     "render": "make a video of a policy",
     "reproduce": "rerun shipped recipes and compare with their results",
     "results": "show the results of the shipped recipes",

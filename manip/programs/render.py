@@ -52,9 +52,9 @@ class Render:
     """Camera: workspace, closeup, or one of the model's own (frontview, sideview,
     ...)."""
     width: int = 640
-    """Width of the picture [pixel]."""
+    """Width of the image [pixel]."""
     height: int = 480
-    """Height of the picture [pixel]."""
+    """Height of the image [pixel]."""
     steps: int | None = None
     """Control steps shown of each episode. All of them unless given."""
     before: Path | None = None
@@ -91,7 +91,7 @@ def render_video(options: Render) -> None:
 
 
 def _record(run: Path, policy: Policy, options: Render) -> "Recorder":
-    """Run the episodes of a policy, after drawing one picture."""
+    """Run the episodes of a policy, after drawing one image."""
     if options.images and policy.card.cameras is None:
         raise UserError(f"the policy in {run} sees no images: drop --images")
     task = load_task_named_by(run, policy.card.task)
@@ -127,7 +127,7 @@ def _check(options: Render) -> None:
 
 
 def _draw_one(env: TaskEnv, options: Render) -> None:
-    """Draw one picture, which fails where camera, size or OpenGL do not work."""
+    """Draw one image, which fails where camera, size or OpenGL do not work."""
     recorder = Recorder(env)
     recorder(env.reset())
     with closing(recorder.frames(options)) as frames:
@@ -173,7 +173,7 @@ class Recorder:
         self._images.append([state[part.name].numpy() for part in parts])
 
     def frames(self, options: Render) -> Generator[Array, None, None]:
-        """Pictures [H, W, 3] uint8 of all episodes, one after the other."""
+        """Images [H, W, 3] uint8 of all episodes, one after the other."""
         states = np.stack(self._states)[: options.steps]
         success = np.stack(self._success)[: options.steps]
         for env_id in range(self._batch.num_envs):

@@ -5,12 +5,15 @@ import io
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any, TypeVar
 
 import tyro
 
 from manip.agents.policy_card import Observe
+from manip.cluster.ray_collectors import ray_collectors
 from manip.envs.external_task import ExternalTask
 from manip.envs.task_registry import load_task, load_task_named_by
 from manip.errors import UserError, check_choice
@@ -20,17 +23,30 @@ from manip.training.config import TrainConfig, recorded
 from manip.training.initial_policy import observation_of, starting_from
 from manip.training.recipes import recipe, scales_other_actions, with_labels
 from manip.training.run import train
+from manip.training.run_parts import Place, here
 from manip.training.terminal import TerminalProgress
 
 _TEXT_OPTIONS = {
     *("--task", "--algo", "--robot", "--out", "--wandb", "--init", "--teacher"),
-    *("--agent.reference", "--preferences", "--labels.taste"),
+    *("--agent.reference", "--preferences", "--labels.taste", "--ray"),
 }
 """Options whose value is text and must not be rewritten as a number."""
 
 
+Config = TypeVar("Config", bound=TrainConfig)
+
 WAITING = 75
 """Exit code of a run that waits for answers: sysexits' "temporary failure, retry"."""
+
+
+@dataclass(frozen=True)
+class Train(TrainConfig):
+    """Train a policy on the batch engine; a tuned recipe sets the defaults."""
+
+    ray: str | None = None
+    """Step the environments on the Ray cluster at this address (host:port), or on the
+    one that this machine belongs to (auto): each of --collectors takes one CPU there.
+    It does not change the run. Needs the package ray on all machines."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +68,12 @@ def main(arguments: Sequence[str]) -> int:
     """Train; 0 when the run finished, 3 when it was stopped and saved before, 75 when
     it was saved and waits for people to compare clips (`manip label`).
     """
-    config = config_of(arguments)
-    task = load_task(config.task)
-    with TerminalProgress() as progress:
+    options = _options(Train, arguments)
+    config, task = _without_place(options), load_task(options.task)
+    with _place(options.ray) as place, TerminalProgress() as progress:
         if isinstance(task, ExternalTask):
             progress.say(f"manip: {task.notice}")
-        result = train(config, callback=progress)
+        result = train(config, callback=progress, place=place)
         if result.finished:
             progress.say(f"trained policy: {result.policy}")
     if result.waiting:
@@ -72,11 +88,28 @@ def config_of(arguments: Sequence[str]) -> TrainConfig:
         UserError: an option, a value, a task or a robot that does not exist.
         SystemExit: after --help.
     """
+    return _options(TrainConfig, arguments)
+
+
+def _options(kind: type[Config], arguments: Sequence[str]) -> Config:
     arguments = list(_with_whole_numbers(arguments))
-    config = cli.parse(TrainConfig, arguments, "manip train", _defaults(arguments))
-    load_task(config.task)
-    check_choice("robot", config.robot, ROBOTS)
-    return config
+    default = kind(**_values(_defaults(arguments)))
+    options = cli.parse(kind, arguments, "manip train", default)
+    load_task(options.task)
+    check_choice("robot", options.robot, ROBOTS)
+    return options
+
+
+def _without_place(options: Train) -> TrainConfig:
+    return TrainConfig(**_values(options))
+
+
+def _values(config: TrainConfig) -> dict[str, Any]:
+    return {field.name: getattr(config, field.name) for field in fields(TrainConfig)}
+
+
+def _place(ray: str | None) -> AbstractContextManager[Place]:
+    return nullcontext(here) if ray is None else ray_collectors(ray)
 
 
 def _with_whole_numbers(arguments: Sequence[str]) -> Iterator[str]:

@@ -254,7 +254,7 @@ class BatchEngine(NotCopied):
             self._refresh(env_ids)
 
     def _fill_fields(self, rows: Array, fields: Mapping[str, Array] | None) -> None:
-        known = [slot.name for slot in self.scene.layout.fields]
+        known = [s.name for s in (*self.scene.layout.fields, *self.scene.varied)]
         for name, values in (fields or {}).items():
             check_choice("model field", name, known)
             self._fill(rows, name, values)

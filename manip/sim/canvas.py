@@ -11,28 +11,28 @@ from manip.sim.names import lookup
 Array = np.ndarray
 
 MAX_GEOMS = 10_000
-"""Most geoms in a picture, as in robosuite (utils/binding_utils.py)."""
+"""Most geoms in an image, as in robosuite (utils/binding_utils.py)."""
 
 BINDING = "mujoco.rendering.classic.gl_context"
 """Module of mujoco's OpenGL contexts, of the backend in MUJOCO_GL."""
 
 
 class Canvas:
-    """Draw pictures of one model and one size; in the OpenGL thread only.
+    """Draw images of one model and one size; in the OpenGL thread only.
 
     Args:
         model: what is drawn. Its meshes and textures are copied to OpenGL.
-        height, width: of a picture [pixels], at most those of its offscreen buffer.
+        height, width: of an image [pixels], at most those of its offscreen buffer.
 
     Raises:
-        UserError: the picture is larger than the model's offscreen buffer.
+        UserError: the image is larger than the model's offscreen buffer.
     """
 
     def __init__(self, model: mujoco.MjModel, height: int, width: int) -> None:
         screen = model.vis.global_
         if width > screen.offwidth or height > screen.offheight:
             raise UserError(
-                f"a picture of {width} x {height} pixels is larger than the model's "
+                f"an image of {width} x {height} pixels is larger than the model's "
                 f"framebuffer, {screen.offwidth} x {screen.offheight}"
             )
         self._model = model
@@ -61,16 +61,16 @@ class Canvas:
         data: mujoco.MjData,
         view: mujoco.MjvCamera,
         options: mujoco.MjvOption,
-        picture: Array,
+        image: Array,
     ) -> None:
-        """Draw a state into `picture`, uint8 [height, width, 3], bottom row first."""
+        """Draw a state into `image`, uint8 [height, width, 3], bottom row first."""
         everything = mujoco.mjtCatBit.mjCAT_ALL
         self._context.make_current()
         mujoco.mjv_updateScene(
             self._model, data, options, None, view, everything, self._scene
         )
         mujoco.mjr_render(self._area, self._scene, self._drawing)
-        mujoco.mjr_readPixels(picture, None, self._area, self._drawing)
+        mujoco.mjr_readPixels(image, None, self._area, self._drawing)
 
     def close(self) -> None:
         """Free the context and what it holds; does nothing the second time.

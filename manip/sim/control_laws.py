@@ -38,6 +38,7 @@ def new_work(n: int) -> Work:
 
     Input: q, qd, q0, mass (M), bias (h), jac (J), tool_p (p), tool_r (R), base_p (b),
     base_r (B); velocity [6], the tool's less the base site's.
+    Gains: gains [2], kp [1/s^2] and kd [1/s] of the controller.
     Goals: goal_p [3], goal_r [3, 3] of the tool in the base frame; goal_q [n].
     Desired: force [3], moment [3] of the tool; joint_acc [n] of the joints.
     Result: torque [n]. The other members hold intermediate results.
@@ -47,6 +48,7 @@ def new_work(n: int) -> Work:
         ("mass", float, (n, n)), ("bias", float, n), ("jac", float, (6, n)),
         ("tool_p", float, 3), ("tool_r", float, (3, 3)),
         ("base_p", float, 3), ("base_r", float, (3, 3)), ("velocity", float, 6),
+        ("gains", float, 2),
         ("goal_p", float, 3), ("goal_r", float, (3, 3)), ("goal_q", float, n),
         ("force", float, 3), ("moment", float, 3), ("joint_acc", float, n),
         ("torque", float, n),

@@ -34,6 +34,8 @@ def control(
     if substep == 0:
         _latch_goal(arm, w, action)
         _drive_gripper(sim, gripper, action[-1])
+        for i in range(len(sim.peaks)):
+            sim.peaks[i] = 0.0
     _arm_torque(arm, w)
     return _drive_arm(sim, arm, w)
 
@@ -119,21 +121,24 @@ def _arm_torque(arm: Arm, w: Work) -> None:
         for i in range(len(w.q)):
             w.joint_acc[i] = NULL_KP * (w.q0[i] - w.q[i])
             w.joint_acc[i] -= 2.0 * sqrt(NULL_KP) * w.qd[i]
-        pose_error(arm.kp, arm.kd, w)
+        pose_error(w.gains[0], w.gains[1], w)
         osc_torque(w)
         return
     for i in range(len(w.q)):  # u = kp (goal_q - q) - kd qd
-        w.joint_acc[i] = arm.kp * (w.goal_q[i] - w.q[i]) - arm.kd * w.qd[i]
+        w.joint_acc[i] = w.gains[0] * (w.goal_q[i] - w.q[i]) - w.gains[1] * w.qd[i]
     joint_torque(w)
 
 
 @kernel
 def _drive_arm(sim: Sim, arm: Arm, w: Work) -> bool:
     """Clip the torque to the actuators' range and apply it; False if not finite."""
-    finite = True
-    for i in range(len(w.torque)):
+    finite, n = True, len(w.torque)
+    for i in range(n):
         finite = finite and isfinite(w.torque[i])
-        sim.ctrl[arm.actuator[i]] = min(arm.high[i], max(arm.low[i], w.torque[i]))
+        torque = min(arm.high[i], max(arm.low[i], w.torque[i]))
+        sim.ctrl[arm.actuator[i]] = torque
+        sim.peaks[i] = max(sim.peaks[i], abs(w.qd[i]))
+        sim.peaks[n + i] = max(sim.peaks[n + i], abs(torque))
     return finite
 
 

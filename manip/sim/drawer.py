@@ -12,8 +12,8 @@ class Drawer:
     """Draw a model; every OpenGL call is made in the process's OpenGL thread.
 
     Args:
-        model: its offscreen buffer is at least as large as the picture.
-        height, width: of the picture [pixels].
+        model: its offscreen buffer is at least as large as the image.
+        height, width: of the image [pixels].
     """
 
     def __init__(self, model: mujoco.MjModel, height: int, width: int) -> None:
@@ -30,9 +30,9 @@ class Drawer:
         canvas = self._canvas
         if canvas is None:
             raise UserError("this renderer is closed: start another one")
-        picture = np.empty(self._shape, np.uint8)
-        canvas.call(lambda: canvas.opened.draw(data, view, options, picture))
-        return np.flipud(picture).copy()
+        image = np.empty(self._shape, np.uint8)
+        canvas.call(lambda: canvas.opened.draw(data, view, options, image))
+        return np.flipud(image).copy()
 
     def close(self) -> None:
         """Free the OpenGL context; does nothing the second time."""

@@ -15,7 +15,7 @@ class Frustum:
     Args:
         model: its geoms with a bounding box are tested; planes have none.
         data: positions of geoms and cameras.
-        camera: id of a camera; pictures are as wide as high.
+        camera: id of a camera; images are as wide as high.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, camera: int) -> None:

@@ -37,7 +37,7 @@ mujoco.mj_forward(model, data)
 with mujoco.Renderer(model, 16, 16) as renderer:
     renderer.update_scene(data)
     if not renderer.render().any():
-        raise RuntimeError("the picture is black")
+        raise RuntimeError("the image is black")
 """
 
 
@@ -88,7 +88,7 @@ def use_backend() -> str:
     """Make mujoco draw with `find_backend()`, also if it was imported with another.
 
     Sets MUJOCO_GL, PYOPENGL_PLATFORM and, unless it is set, LP_NUM_THREADS: Mesa's
-    software renderer would start threads of its own, which draw small pictures no
+    software renderer would start threads of its own, which draw small images no
     faster. Call it before the first renderer.
 
     Raises:
@@ -96,7 +96,7 @@ def use_backend() -> str:
     """
     backend = find_backend()
     if backend is None:
-        raise UserError(f"no OpenGL backend can draw pictures here: {INSTALL_HINT}")
+        raise UserError(f"no OpenGL backend can draw images here: {INSTALL_HINT}")
     os.environ.update(_settings(backend))
     os.environ.setdefault("LP_NUM_THREADS", "0")
     _bind_again()

@@ -1,4 +1,4 @@
-"""PhysicsCameras: pictures of a MuJoCo simulation that another library steps."""
+"""PhysicsCameras: images of a MuJoCo simulation that another library steps."""
 
 import mujoco
 import numpy as np
@@ -16,7 +16,7 @@ class PhysicsCameras(NotCopied):
     """Draw the present state of a model's data, as dm_control's physics.render does.
 
     Args:
-        cameras: the cameras, and the size of the pictures.
+        cameras: the cameras, and the size of the images.
 
     Raises:
         UserError: no OpenGL backend works here.
@@ -37,14 +37,14 @@ class PhysicsCameras(NotCopied):
             UserError: the model has no such camera.
         """
         size = self._cameras.size
-        pictures = {
+        images = {
             part_name(name): np.empty((size, size, 3), np.uint8)
             for name in self._cameras.names
         }
-        if pictures:
+        if images:
             canvas = self._opened(model)
-            canvas.call(lambda: self._fill(canvas.opened, data, pictures))
-        return pictures
+            canvas.call(lambda: self._fill(canvas.opened, data, images))
+        return images
 
     def _opened(self, model: mujoco.MjModel) -> InGLThread[Canvas]:
         """The canvas of the model; another one if the library compiled it again."""
@@ -55,8 +55,8 @@ class PhysicsCameras(NotCopied):
         return self._canvas
 
     def _fill(
-        self, canvas: Canvas, data: mujoco.MjData, pictures: dict[str, Array]
+        self, canvas: Canvas, data: mujoco.MjData, images: dict[str, Array]
     ) -> None:
         options = mujoco.MjvOption()
-        for view, picture in zip(self._views, pictures.values(), strict=True):
-            canvas.draw(data, view, options, picture)
+        for view, image in zip(self._views, images.values(), strict=True):
+            canvas.draw(data, view, options, image)

@@ -29,6 +29,9 @@ _UNSTABLE_AT_FAST_DT = {"Robotiq85Gripper", "JacoThreeFingerGripper"}
 """Grippers that need the exact timestep. With 5 ms the Robotiq's fingers, which press
 on one another, diverge within a second, and Jaco's drop what they hold."""
 
+GAINS = "gains"
+"""Array of `Scene.varied` that is no part of the model: the controller's kp and kd."""
+
 ARENA_BYTES = 64 << 20
 """Memory of one MjData; robosuite reserves 1.3 GB of address space."""
 
@@ -40,14 +43,19 @@ class Scene(NotCopied):
     Attributes:
         physics: the model that is stepped: stock MJCF without visual geoms, with
             contact sensors for the touches and then force sensors.
-        visual: the stock model, for pictures.
+        visual: the stock model, for images.
         stock: the robosuite environment.
         layout: indices, names and gains.
         physics_fields: where the fields of `layout.fields` lie in `physics`; None for
-            those that only pictures show.
+            those that only images show.
         touch_of_sensor: for each contact sensor the touch to which it adds.
         substeps: simulation steps in a control period.
         control_dt: control period [s].
+        varied: entries of `physics`, or the controller's gains, that differ between
+            environments besides the task's fields.
+        with_peaks: whether the readings include `peak_speed` [N, n] rad/s and
+            `peak_torque` [N, n] N m, the largest ones of each joint of the arm over
+            the substeps of the last control period.
     """
 
     physics: mujoco.MjModel
@@ -58,6 +66,8 @@ class Scene(NotCopied):
     touch_of_sensor: Array
     substeps: int
     control_dt: float
+    varied: tuple[Slot, ...] = ()
+    with_peaks: bool = False
 
     @property
     def nq(self) -> int:

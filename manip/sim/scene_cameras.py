@@ -1,4 +1,4 @@
-"""SceneCameras: pictures of a scene's states, drawn by several threads."""
+"""SceneCameras: images of a scene's states, drawn by several threads."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -27,10 +27,10 @@ class SceneCameras(NotCopied):
 
     Args:
         scene: what is drawn.
-        cameras: the cameras, and the size of the pictures.
+        cameras: the cameras, and the size of the images.
         looks: what varies between episodes.
         threads: threads that draw at the same time, each with an OpenGL context
-            (0.2 GB); the pictures do not depend on their number.
+            (0.2 GB); the images do not depend on their number.
 
     Raises:
         UserError: a camera does not exist, or no OpenGL backend works here.
@@ -59,18 +59,16 @@ class SceneCameras(NotCopied):
         """
         seeds = np.zeros(len(states), np.int64) if looks is None else looks
         shape = len(states), self._cameras.size, self._cameras.size, 3
-        pictures = {
-            part.name: np.empty(shape, np.uint8) for part in self._cameras.parts
-        }
+        images = {part.name: np.empty(shape, np.uint8) for part in self._cameras.parts}
         shares = np.array_split(np.arange(len(states)), self._threads)
         futures = [
-            canvas.post(_job(canvas.opened, states, seeds, pictures, rows))
+            canvas.post(_job(canvas.opened, states, seeds, images, rows))
             for canvas, rows in zip(self._opened(), shares, strict=True)
             if len(rows)
         ]
         for future in futures:
             future.result()
-        return pictures
+        return images
 
     def _opened(self) -> list[InGLThread[SceneCanvas]]:
         """One canvas a thread; new ones in a forked process."""
@@ -92,7 +90,7 @@ def _job(
     canvas: SceneCanvas,
     states: Array,
     looks: Array,
-    pictures: Mapping[str, Array],
+    images: Mapping[str, Array],
     rows: Array,
 ) -> Callable[[], None]:
-    return lambda: canvas.draw(states, looks, pictures, rows)
+    return lambda: canvas.draw(states, looks, images, rows)

@@ -38,7 +38,7 @@ class SceneCanvas:
 
     Args:
         scene: what is drawn.
-        cameras: the cameras, the size and the quality of the pictures.
+        cameras: the cameras, the size and the quality of the images.
         looks: what varies between episodes.
     """
 
@@ -64,15 +64,15 @@ class SceneCanvas:
         self,
         states: Array,
         looks: Array,
-        pictures: Mapping[str, Array],
+        images: Mapping[str, Array],
         rows: Array,
     ) -> None:
-        """Draw some of the state rows [n, S] into the same rows of pictures.
+        """Draw some of the state rows [n, S] into the same rows of images.
 
         Args:
             states: [n, S].
             looks: [n] int64, the seeds of the looks.
-            pictures: part name -> uint8 [n, H, W, 3], bottom row first.
+            images: part name -> uint8 [n, H, W, 3], bottom row first.
             rows: [k] int.
         """
         for row in rows:
@@ -82,7 +82,7 @@ class SceneCanvas:
             for name, (view, frustum) in self._views.items():
                 if self._lean:
                     frustum.hide_unseen()
-                self._canvas.draw(self._data, view, self._options, pictures[name][row])
+                self._canvas.draw(self._data, view, self._options, images[name][row])
 
     def close(self) -> None:
         """Free the OpenGL context."""
@@ -101,7 +101,7 @@ class SceneCanvas:
 
 
 def _show_as_stock(model: mujoco.MjModel, stock: Any, size: int) -> None:
-    """Hide the sites that robosuite hides, and make room for the pictures."""
+    """Hide the sites that robosuite hides, and make room for the images."""
     model.site_rgba[:] = _hidden_site_colours(stock)
     screen = model.vis.global_
     screen.offwidth = screen.offheight = size

@@ -28,7 +28,7 @@ class Sensors:
         Arrays are the float arrays that begin with body_, geom_, site_, dof_, jnt_,
         actuator_, cam_, light_ or mat_ (a dof_ array takes the name of a joint and
         covers all its degrees of freedom). Cameras, lights, materials, colours and
-        visual geoms change pictures only. MuJoCo's derived constants stay those of
+        visual geoms change images only. MuJoCo's derived constants stay those of
         the compiled model (mj_setConst is not called): with a geom_size set its
         geom_rbound as well, and with a body_mass its body_inertia.
     parked: bodies that the task places out of the way; the fast fidelity lets them

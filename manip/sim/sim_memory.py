@@ -22,7 +22,9 @@ class Sim(NamedTuple):
 
     state: the places of a state row; slots: those of a readings row, which the touches
     follow. command: of the gripper, one number an actuator. contacts: the readings of
-    the contact sensors, numbers of contacts.
+    the contact sensors, numbers of contacts. peaks [2 n]: the largest speed [rad/s] of
+    each of the arm's n joints in the present control period, then the largest torque
+    [N m].
     """
 
     model: int
@@ -40,6 +42,7 @@ class Sim(NamedTuple):
     site_xpos: Array
     site_xmat: Array
     contacts: Array
+    peaks: Array
 
 
 @kernel

@@ -5,9 +5,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from manip.sim.fields import read_slot
-from manip.sim.scene import Scene
+from manip.sim.scene import GAINS, Scene
+from manip.sim.slots import Slot
 
 Array = np.ndarray
+
+PEAKS = ("peak_speed", "peak_torque")
+"""Readings of the arm's joints over the last control period; see `Scene.with_peaks`."""
 
 
 def state_columns(scene: Scene) -> dict[str, slice]:
@@ -15,7 +19,7 @@ def state_columns(scene: Scene) -> dict[str, slice]:
 
     qpos [nq], qvel [nv], warmstart [nv] (the constraint solver's start, qacc of the
     step before), start_pos [n] (the arm's joints at the start of the episode),
-    gripper_command, the model fields, the task's memory.
+    gripper_command, the model fields, the varied entries, the task's memory.
     """
     columns, start = {}, 0
     for name, size in _parts(scene):
@@ -37,7 +41,16 @@ def default_row(scene: Scene) -> Array:
     for drawn, stepped in zip(layout.fields, scene.physics_fields, strict=True):
         owner, slot = (scene.physics, stepped) if stepped else (scene.visual, drawn)
         row[columns[drawn.name]] = read_slot(owner, slot)
+    for slot in scene.varied:
+        row[columns[slot.name]] = varied_default(scene, slot)
     return row
+
+
+def varied_default(scene: Scene, slot: Slot) -> Array:
+    """[size]: the compiled values of varied entries."""
+    if slot.array == GAINS:
+        return np.array([scene.layout.arm.kp, scene.layout.arm.kd])
+    return read_slot(scene.physics, slot)
 
 
 def reading_columns(scene: Scene) -> dict[str, slice | int]:
@@ -47,6 +60,11 @@ def reading_columns(scene: Scene) -> dict[str, slice | int]:
     for slot in scene.layout.slots:
         columns[slot.name] = slice(start, start + slot.size)
         start += slot.size
+    if scene.with_peaks:
+        joints = len(scene.layout.arm.dof)
+        for name in PEAKS:
+            columns[name] = slice(start, start + joints)
+            start += joints
     for index, touch in enumerate(scene.layout.touches):
         columns[touch.name] = start + index
     return columns
@@ -59,7 +77,8 @@ def readings_width(scene: Scene) -> int:
 
 def touch_start(scene: Scene) -> int:
     """Column of the first touch in a readings row."""
-    return sum(slot.size for slot in scene.layout.slots)
+    peaks = len(PEAKS) * len(scene.layout.arm.dof) if scene.with_peaks else 0
+    return sum(slot.size for slot in scene.layout.slots) + peaks
 
 
 def _parts(scene: Scene) -> Iterator[tuple[str, int]]:
@@ -69,5 +88,5 @@ def _parts(scene: Scene) -> Iterator[tuple[str, int]]:
     yield "warmstart", model.nv
     yield "start_pos", len(layout.arm.qpos)
     yield "gripper_command", len(layout.gripper.actuator)
-    yield from ((slot.name, slot.size) for slot in layout.fields)
+    yield from ((slot.name, slot.size) for slot in (*layout.fields, *scene.varied))
     yield from layout.memory.items()

@@ -120,6 +120,8 @@ def refresh_environments(
     """Run `mj_forward` in some environments, as at the end of robosuite's reset."""
     for i in range(len(sim.ctrl)):
         sim.ctrl[i] = 0.0
+    for i in range(len(sim.peaks)):
+        sim.peaks[i] = 0.0
     while True:
         i = take_number(counter.ctypes.data)
         if i >= len(env_ids):

@@ -1,7 +1,7 @@
 """Run robosuite environments, with or without cameras, with their own OpenGL context.
 
 robosuite makes its OpenGL context current only once, when it builds it: with another
-context current its pictures are silently wrong. It also leaves the context of a model
+context current its images are silently wrong. It also leaves the context of a model
 that a hard reset replaces to the garbage collector, which then deletes textures of
 whatever context is current (utils/binding_utils.py).
 """

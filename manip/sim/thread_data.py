@@ -8,7 +8,7 @@ import numpy as np
 
 from manip.sim.control_laws import Work, new_work
 from manip.sim.not_copied import NotCopied
-from manip.sim.scene import Scene
+from manip.sim.scene import GAINS, Scene
 from manip.sim.sim_memory import Segments, Sim
 from manip.sim.slots import Slot
 
@@ -33,16 +33,22 @@ def thread_data(scene: Scene) -> ThreadData:
     """Memory in which one more thread can step environments of the scene."""
     model = mujoco.MjModel.__copy__(scene.physics)
     data = mujoco.MjData(model)
-    work = new_work(len(scene.layout.arm.dof))
+    arm = scene.layout.arm
+    work, peaks = new_work(len(arm.dof)), np.zeros(2 * len(arm.dof))
+    work.gains[:] = arm.kp, arm.kd
     command = np.zeros(len(scene.layout.gripper.actuator))
     fields = _fields(model, scene)
     sim = Sim(
         model=model._address,
         data=data._address,
         state=_segments(
-            data.qpos, data.qvel, data.qacc_warmstart, work.q0, command, *fields
+            *(data.qpos, data.qvel, data.qacc_warmstart, work.q0, command, *fields),
+            *(_view(work if s.array == GAINS else model, s) for s in scene.varied),
         ),
-        slots=_segments(*(_view(data, slot) for slot in scene.layout.slots)),
+        slots=_segments(
+            *(_view(data, slot) for slot in scene.layout.slots),
+            *([peaks] if scene.with_peaks else []),
+        ),
         command=command,
         qpos=data.qpos,
         qvel=data.qvel,
@@ -54,6 +60,7 @@ def thread_data(scene: Scene) -> ThreadData:
         site_xpos=data.site_xpos,
         site_xmat=data.site_xmat,
         contacts=data.sensordata,
+        peaks=peaks,
     )
     return ThreadData(model, data, sim, work, tuple(fields))
 

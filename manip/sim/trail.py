@@ -13,7 +13,7 @@ _EDGE = (60, 30, 0)
 
 
 class Trail:
-    """The path of a site in the pictures of one camera.
+    """The path of a site in the images of one camera.
 
     Args:
         site: name of the site.
@@ -46,7 +46,7 @@ def _pixels(
     view: mujoco.MjvCamera,
     height: int,
 ) -> np.ndarray:
-    """[P, 2]: where points [P, 3] are, right of and below the picture's centre."""
+    """[P, 2]: where points [P, 3] are, right of and below the image's centre."""
     place, right, up, ahead, fovy = _lens(model, data, view)
     focus = height / 2 / math.tan(math.radians(fovy) / 2)
     offsets = points - place

@@ -42,7 +42,9 @@ class TrainingAverages:
         return {
             "train/return": float(np.mean([e.total_reward for e in self.episodes])),
             **{
-                f"train/{kind}": float(np.mean([getattr(e, kind) for e in self.episodes]))
+                f"train/{kind}": float(
+                    np.mean([getattr(e, kind) for e in self.episodes])
+                )
                 for kind in SUCCESS
             },
             **{

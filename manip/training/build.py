@@ -16,6 +16,7 @@ from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.episode_streams import CHOICE
+from manip.envs.interface import interface_of
 from manip.envs.make_batch import make_batch
 from manip.envs.task_batch import TaskBatch
 from manip.errors import UserError
@@ -57,7 +58,7 @@ def training_env(config: TrainConfig, group: int, groups: int) -> TaskEnv:
     batch = _batch(
         config,
         num_envs,
-        cameras=cameras_of(config, config.image_quality),
+        cameras=cameras_of(config),
         looks=config.looks,
         fidelity=config.fidelity,
         threads=max(1, share_threads(config)[0] // groups),
@@ -77,13 +78,15 @@ def training_env(config: TrainConfig, group: int, groups: int) -> TaskEnv:
 def evaluation_env(config: TrainConfig) -> TaskEnv:
     """Build the environments of evaluations: exact physics, the task's own horizon.
 
+    Images are of the quality and the looks of training.
     Their episodes serve to choose the best checkpoint (purpose CHOICE): the run never
     trains on them, and `manip evaluate` reports on others.
     """
     batch = _batch(
         config,
         config.eval_episodes,
-        cameras=cameras_of(config, "exact"),
+        cameras=cameras_of(config),
+        looks=config.looks,
         threads=config.threads,
         purpose=CHOICE,
     )
@@ -164,6 +167,7 @@ def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Po
     """Return the agent's present policy, with all that an evaluator needs."""
     actor, inputs = agent.actor, spaces_of(config, env).inputs
     encoders = actor.sizes if isinstance(actor, ImageActor) else None
+    spec = seen_parts(env.batch.observation_spec, inputs)
     card = PolicyCard(
         task=config.task,
         robot=config.robot,
@@ -171,7 +175,7 @@ def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Po
         controller=config.controller,
         control_freq=config.control_freq,
         action_dim=env.action_spec.shape[-1],
-        observation=seen_parts(env.batch.observation_spec, inputs).to_dict(),
+        observation=spec.to_dict(),
         hidden=widths_of(actor.body)[1:-1],
         squash=actor.squash,
         bins=actor.bins,
@@ -183,5 +187,8 @@ def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Po
         env_steps=steps,
         seed=config.seed,
         versions=versions(),
+        horizon=env.batch.horizon,
+        fidelity=config.fidelity,
+        **vars(interface_of(env.batch, spec.names)),
     )
     return Policy(card, actor)

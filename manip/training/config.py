@@ -76,13 +76,14 @@ class TrainConfig:
     to draw and to learn from."""
     image_quality: Literal["exact", "lean"] = "lean"
     """Images of training. exact: robosuite's bytes; lean: without reflections and with
-    fewer triangles, several times faster. Evaluation always uses exact images."""
+    fewer triangles, several times faster. `manip evaluate` uses exact images."""
     frames: Annotated[int, Range(1, 16)] = 1
     """Latest images that the actor sees of each camera (frame stack). More of them
     show motion, and what has left the view."""
     looks: Annotated[float, SHARE] = 0.0
     """Strength, from 0 to 1, of random changes of colours, textures, lights and camera
-    poses in each training episode (domain randomisation). Evaluations have none."""
+    poses in each episode (domain randomisation), also of the evaluations that choose
+    the best policy."""
     teacher: str | None = None
     """Policy that `--algo bc` imitates instead of the task's expert: a run folder, a
     policy folder or the name of a shipped policy. It sees the whole observation."""
@@ -198,20 +199,27 @@ def lasting(config: TrainConfig) -> dict[str, Any]:
 def check_lasting(recorded: dict[str, Any], config: TrainConfig) -> None:
     """Compare the `lasting` options of a run with those that it is resumed with.
 
+    Options that did not exist yet when the run began have their defaults.
+
     Raises:
         UserError: one of them differs.
     """
-    requested = lasting(config)
+    requested, before = lasting(config), _defaults(config.algo) | recorded
     changed = [
-        f"{name} was {recorded.get(name)!r}, not {requested.get(name)!r}"
-        for name in sorted(recorded.keys() | requested.keys())
-        if recorded.get(name) != requested.get(name)
+        f"{name} was {before.get(name)!r}, not {requested.get(name)!r}"
+        for name in sorted(before.keys() | requested.keys())
+        if before.get(name) != requested.get(name)
     ]
     if changed:
         raise UserError(
             f"the run cannot be resumed with other options: {'; '.join(changed)}. "
             "Leave them out, or start another run with another --out"
         )
+
+
+def _defaults(algo: str) -> dict[str, Any]:
+    """The `lasting` options of a run for which none was given."""
+    return lasting(TrainConfig(algo=algo, agent=load_algorithm(algo).Config()))
 
 
 def from_dict(values: dict[str, Any]) -> TrainConfig:

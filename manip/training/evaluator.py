@@ -1,13 +1,14 @@
 """Evaluations of the policy while a run trains."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import isfinite
 from typing import Any, Literal
 
 from manip.agents.agent import Agent
 from manip.agents.policy import Policy
-from manip.evaluation.episodes import run_episodes
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.task_batch import TaskBatch
+from manip.evaluation.episodes import run_episodes
 from manip.evaluation.report import summarise
 from manip.training.build import curve_env, evaluation_env, policy_of
 from manip.training.config import TrainConfig
@@ -91,11 +92,16 @@ class Evaluator:
         env.batch.restart()
         episodes = run_episodes(env, policy, env.batch.num_envs)
         result: dict[str, Any] = summarise(episodes, env.batch.task.milestone_names)
+        success = {name: rate.rate for name, rate in result["success"].items()}
+        mean_return = result["return_mean"]
+        values = {"episodes": len(episodes), **success}
+        if isfinite(mean_return):
+            values["return"] = mean_return
         return PolicyEvaluation(
             kind=kind,
-            policy=policy,
+            policy=replace(policy, card=replace(policy.card, evaluation=values)),
             episodes=len(episodes),
-            success={name: rate.rate for name, rate in result["success"].items()},
-            mean_return=result["return_mean"],
+            success=success,
+            mean_return=mean_return,
             milestones=result["milestones"],
         )

@@ -3,6 +3,7 @@
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from manip.agents.policy import Policy, load_policy
 from manip.cameras import CameraConfig, Quality
@@ -10,10 +11,13 @@ from manip.envs.make_batch import Backend
 from manip.envs.task import Task
 from manip.envs.task_registry import load_task_named_by
 from manip.errors import UserError, at_least
+from manip.evaluation.episode_table import motion_summary
+from manip.evaluation.episodes import Episode
 from manip.evaluation.report import Evaluation, summarise
 from manip.evaluation.runners import EpisodeSettings, Progress, evaluate_policy
 from manip.preferences.tastes import load_taste
 from manip.sim.scene import Fidelity
+from manip.training.baselines import AnyPolicy, Baseline, load_baseline
 from manip.versions import versions
 
 MOST_EPISODES = 100_000
@@ -34,6 +38,7 @@ class EvaluationOptions:
         taste: of the task, whose penalty is measured; None for none.
         looks: suite of looks, see `manip.looks`; None for robosuite's own look.
         image_quality: of the native engine's images.
+        details: whether the episodes have `Episode.details`.
     """
 
     env: Backend = "stock"
@@ -44,6 +49,14 @@ class EvaluationOptions:
     taste: str | None = None
     looks: str | None = None
     image_quality: Quality = "exact"
+    details: bool = False
+
+
+def load_policy_and_task(
+    name: Path, kind: Baseline | None, robot: str
+) -> tuple[AnyPolicy, Task]:
+    """As `load_run`; of a kind that needs no training, as `load_baseline`."""
+    return load_baseline(kind, str(name), robot) if kind else load_run(name)
 
 
 def load_run(run: Path) -> tuple[Policy, Task]:
@@ -57,11 +70,28 @@ def load_run(run: Path) -> tuple[Policy, Task]:
 
 
 def evaluate_on_task(
-    policy: Policy,
+    policy: AnyPolicy,
     task: Task,
     options: EvaluationOptions,
     progress: Progress = lambda _: None,
 ) -> Evaluation:
+    """Run the episodes and summarise them, as `measure_on_task`."""
+    return measure_on_task(policy, task, options, progress).evaluation
+
+
+class Measured(NamedTuple):
+    """An evaluation, and its episodes in any order."""
+
+    evaluation: Evaluation
+    episodes: list[Episode]
+
+
+def measure_on_task(
+    policy: AnyPolicy,
+    task: Task,
+    options: EvaluationOptions,
+    progress: Progress = lambda _: None,
+) -> Measured:
     """Run the episodes and summarise them.
 
     Args:
@@ -76,7 +106,7 @@ def evaluate_on_task(
     card, settings = policy.card, _settings(options, policy, task)
     began = time.monotonic()
     episodes = evaluate_policy(policy, settings, progress, options.processes)
-    return Evaluation(
+    result = Evaluation(
         task=card.task,
         robot=card.robot,
         algo=card.algo,
@@ -92,7 +122,9 @@ def evaluate_on_task(
         taste=options.taste,
         looks=options.looks,
         image_quality=settings.cameras.quality if settings.cameras else None,
+        motion=motion_summary(episodes, card.robot),
     )
+    return Measured(result, episodes)
 
 
 def check_episodes(episodes: int, least: int = 1) -> None:
@@ -103,7 +135,7 @@ def check_episodes(episodes: int, least: int = 1) -> None:
 
 
 def _settings(
-    options: EvaluationOptions, policy: Policy, task: Task
+    options: EvaluationOptions, policy: AnyPolicy, task: Task
 ) -> EpisodeSettings:
     return EpisodeSettings(
         task=task,
@@ -116,10 +148,11 @@ def _settings(
         fidelity="exact" if options.env == "stock" else options.fidelity,
         taste=load_taste(policy.card.task, options.taste) if options.taste else None,
         looks=options.looks,
+        details=options.details,
     )
 
 
-def _cameras(options: EvaluationOptions, policy: Policy) -> CameraConfig | None:
+def _cameras(options: EvaluationOptions, policy: AnyPolicy) -> CameraConfig | None:
     """The cameras of a policy, in the quality of the options."""
     cameras = policy.card.cameras
     varied = options.looks or options.image_quality != "exact"

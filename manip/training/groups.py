@@ -25,12 +25,28 @@ def groups_of(config: TrainConfig) -> int:
 
 
 def _check_collectors(config: TrainConfig) -> None:
-    algorithm = load_algorithm(config.algo)
-    learns_elsewhere = algorithm.process_rollout is not Agent.process_rollout
-    if algorithm.imitates or learns_elsewhere or config.agent.workers > 1:
-        raise UserError(
-            f"--collectors has no use with {config.algo}, whose rollouts are not its "
-            "policy's alone: leave it out, or choose ppo, a2c, sac or td3"
-        )
+    learns_elsewhere = (
+        load_algorithm(config.algo).process_rollout is not Agent.process_rollout
+    )
+    if learns_elsewhere or config.agent.workers > 1:
+        raise _without_use("--collectors", config)
+    check_elsewhere(config, "--collectors")
+
+
+def check_elsewhere(config: TrainConfig, option: str) -> None:
+    """Check that the environments can be stepped apart from the rest of the run.
+
+    Raises:
+        UserError: the algorithm imitates, or the run has preferences.
+    """
+    if load_algorithm(config.algo).imitates:
+        raise _without_use(option, config)
     if config.preferences is not None:
-        raise UserError("--collectors does not fit --preferences: leave one out")
+        raise UserError(f"{option} does not fit --preferences: leave one out")
+
+
+def _without_use(option: str, config: TrainConfig) -> UserError:
+    return UserError(
+        f"{option} has no use with {config.algo}, whose rollouts are not its "
+        "policy's alone: leave it out, or choose ppo, a2c, sac or td3"
+    )

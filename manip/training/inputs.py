@@ -5,7 +5,7 @@ from dataclasses import fields
 from manip.agents.actor_inputs import camera_inputs
 from manip.agents.agent import Spaces
 from manip.agents.registry import algorithm_names, load_algorithm
-from manip.cameras import CameraConfig, Quality
+from manip.cameras import CameraConfig
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.errors import UserError
 from manip.training.config import TrainConfig
@@ -14,7 +14,7 @@ OF_IMAGES = ("cameras", "parts", "image_size", "image_quality", "frames", "looks
 """Options that matter only with `--observe cameras`."""
 
 
-def cameras_of(config: TrainConfig, quality: Quality) -> CameraConfig | None:
+def cameras_of(config: TrainConfig) -> CameraConfig | None:
     """Cameras of a run's environments; None if the actor sees the state.
 
     Raises:
@@ -32,7 +32,9 @@ def cameras_of(config: TrainConfig, quality: Quality) -> CameraConfig | None:
             f"{config.algo} does not learn from cameras: choose one of "
             f"{', '.join(able)}, or --observe state"
         )
-    return CameraConfig(config.cameras, config.image_size, quality, config.frames)
+    return CameraConfig(
+        config.cameras, config.image_size, config.image_quality, config.frames
+    )
 
 
 def _check_no_images(config: TrainConfig) -> None:

@@ -15,6 +15,7 @@ Keys, with N environments:
     measures       [N, V] float32, named as `batch.measure_names`, if requested
     expert_action  [N, A] float32, the action of the task's expert or of a given
                    policy in this state, if requested
+    motion         what `batch.motion` returns, [N, k] float32 each, if requested
     states, ...    what `batch.record` returns, if requested
 """
 
@@ -45,6 +46,7 @@ class TaskEnv(EnvBase):
             policy whose action it gives instead.
         measures: whether it gives the task's visible measures, too.
         states: whether it gives what `batch.record` returns, too.
+        motion: whether it gives what `batch.motion` returns, too.
 
     Raises:
         UserError: the task has no expert, or the batch cannot record its states.
@@ -58,10 +60,12 @@ class TaskEnv(EnvBase):
         expert: bool | Expert = False,
         measures: bool = False,
         states: bool = False,
+        motion: bool = False,
     ) -> None:
         super().__init__(batch_size=[batch.num_envs], device=None)
         self.batch = batch
         self._expert, self._measures, self._states = expert, measures, states
+        self._motion = motion
         shape = self.batch_size
         dim = batch.observation_spec.dim
         milestones, terms = len(batch.task.milestone_names), len(batch.reward_names)
@@ -85,6 +89,10 @@ class TaskEnv(EnvBase):
         for name, rows in (batch.record() if states else {}).items():
             kind = torch.from_numpy(rows).dtype
             self.observation_spec[name] = Unbounded(rows.shape, dtype=kind)
+        if motion:
+            named = batch.motion().items()
+            kinds = {name: Unbounded(rows.shape) for name, rows in named}
+            self.observation_spec["motion"] = Composite(kinds, shape=shape)
         if expert:
             self.observation_spec["expert_action"] = self.action_spec.clone()
         ends = ("done", "terminated", "truncated")
@@ -132,6 +140,8 @@ class TaskEnv(EnvBase):
             tensors[name] = torch.from_numpy(images)
         if self._measures:
             tensors["measures"] = torch.from_numpy(self.batch.measures())
+        if self._motion:
+            tensors["motion"] = self._motion_tensors()
         if self._states:
             recorded = self.batch.record().items()
             tensors |= {name: torch.from_numpy(rows) for name, rows in recorded}
@@ -139,6 +149,11 @@ class TaskEnv(EnvBase):
         if self._expert:
             state["expert_action"] = self._expert_action(state)
         return state
+
+    def _motion_tensors(self) -> TensorDict:
+        named = self.batch.motion().items()
+        rows = {name: torch.from_numpy(v.astype(np.float32)) for name, v in named}
+        return TensorDict(rows, self.batch_size)
 
     def _expert_action(self, state: TensorDictBase) -> torch.Tensor:
         if callable(self._expert):

@@ -105,7 +105,7 @@ class ExternalBatch(NotCopied, TaskBatch):
         """The images of the latest steps."""
         steps = [self._steps[env_id] for env_id in env_ids]
         names = [part.name for part in self.cameras.parts]
-        return {name: np.stack([s.pictures[name] for s in steps]) for name in names}
+        return {name: np.stack([s.images[name] for s in steps]) for name in names}
 
     def episode_seed(self, env_id: int) -> int:
         """The seed of an environment's present episode, below 2^32."""

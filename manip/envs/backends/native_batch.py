@@ -1,6 +1,7 @@
 """NativeBatch: N environments of a task on the batch engine."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -26,6 +27,7 @@ from manip.sim.batch_engine import BatchEngine
 from manip.sim.engine import Snapshot
 from manip.sim.not_copied import DeepCopied
 from manip.sim.robosuite_factory import PANDA
+from manip.sim.robot_motion import RobotMotion
 from manip.sim.scene import Fidelity, Scene, load_scene
 from manip.sim.scene_cameras import SceneCameras
 
@@ -90,7 +92,10 @@ class NativeBatch(DeepCopied, TaskBatch):
                 task.robosuite_name, task.sensors, robot, fidelity
             )
             milestones = len(task.milestone_names)
+        if episodes.motion:
+            self.scene = replace(self.scene, with_peaks=True)
         self.engine = BatchEngine(self.scene, num_envs, threads)
+        self._robot_motion = RobotMotion(self.scene) if episodes.motion else None
         self._stagger = stagger
         self._restart_fraction = restart_fraction
         self._restarts = (
@@ -120,6 +125,11 @@ class NativeBatch(DeepCopied, TaskBatch):
     def visual_model(self, env_id: int) -> Any:
         """A copy of the stock model with the environment's model fields."""
         return self.engine.visual_model(self.engine.states[env_id])
+
+    def motion(self) -> dict[str, Array]:
+        """As `RobotMotion.read`."""
+        motion = self._robot_motion
+        return motion.read(self.engine) if motion else super().motion()
 
     def step(self, action: Array) -> TimeStep:
         """As `TaskBatch.step`; visited states go to the restart buffer."""

@@ -28,7 +28,7 @@ less elsewhere (dm_control.utils.rewards.tolerance)."""
 
 
 def names() -> tuple[str, ...]:
-    """Tasks whose observations are numbers, not pictures."""
+    """Tasks whose observations are numbers, not images."""
     return tuple(manipulation.get_environments_by_tag("features"))
 
 
@@ -54,7 +54,7 @@ class DmControlSim(ExternalSim):
         self._env = composer.Environment(manipulation.load(name).task)
         spec = self._env.action_spec()
         self._low, self._range = spec.minimum, spec.maximum - spec.minimum
-        self._pictures = PhysicsCameras(cameras)
+        self._images = PhysicsCameras(cameras)
 
     def action_dim(self) -> int:
         """Six joints and three fingers."""
@@ -82,8 +82,8 @@ class DmControlSim(ExternalSim):
     ) -> ExternalStep:
         parts = {name: np.ravel(values) for name, values in observation.items()}
         physics = self._env.physics
-        pictures = self._pictures.draw(physics.model.ptr, physics.data.ptr)
-        return ExternalStep(parts, reward, reward >= SOLVED, over, pictures)
+        images = self._images.draw(physics.model.ptr, physics.data.ptr)
+        return ExternalStep(parts, reward, reward >= SOLVED, over, images)
 
 
 open_sim = DmControlSim

@@ -17,14 +17,14 @@ class ExternalStep(NamedTuple):
     Attributes:
         parts: name -> [k], the observation.
         reward, success, terminated: the library's own.
-        pictures: camera part -> uint8 [H, W, 3], bottom row first.
+        images: camera part -> uint8 [H, W, 3], bottom row first.
     """
 
     parts: Mapping[str, Array]
     reward: float
     success: bool
     terminated: bool
-    pictures: Mapping[str, Array] = {}
+    images: Mapping[str, Array] = {}
 
 
 class ExternalSim(NotCopied, ABC):

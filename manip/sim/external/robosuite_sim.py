@@ -37,7 +37,7 @@ class RobosuiteSim(ExternalSim):
     ) -> None:
         self._driver = open_stock(name, robot, seed, cameras, hard_reset=hard_reset)
         self._stock = self._driver.stock
-        self._pictured = [part.name for part in cameras.parts]
+        self._image_names = [part.name for part in cameras.parts]
 
     def action_dim(self) -> int:
         """Length of an action of all its arms and grippers."""
@@ -69,9 +69,9 @@ class RobosuiteSim(ExternalSim):
             and observable.modality != "image"
             and not name.endswith("joint_acc")
         }
-        pictures = {name: observation[name] for name in self._pictured}
+        images = {name: observation[name] for name in self._image_names}
         success = bool(self._stock._check_success())
-        return ExternalStep(parts, reward, success, over, pictures)
+        return ExternalStep(parts, reward, success, over, images)
 
 
 open_sim = RobosuiteSim

@@ -17,9 +17,9 @@ Array = np.ndarray
 
 CAMERAS = ("agentview", "robot0_eye_in_hand")
 SIZE = 64
-"""Height and width of the pictures [pixels]."""
+"""Height and width of the images [pixels]."""
 STEPS = 14
-"""Control steps of the task's expert before the picture."""
+"""Control steps of the task's expert before the image."""
 
 COLUMNS: dict[str, tuple[Quality, float | str]] = {
     "exact": ("exact", 0.0),
@@ -30,34 +30,34 @@ COLUMNS: dict[str, tuple[Quality, float | str]] = {
     "unseen-lights-2": ("lean", "unseen-lights-2"),
     "unseen-cameras-1": ("lean", "unseen-cameras-1"),
 }
-"""Title of a column -> quality and looks of its pictures."""
+"""Title of a column -> quality and looks of its images."""
 
 
-def draw_pictures(task: str, path: Path) -> None:
+def draw_images(task: str, path: Path) -> None:
     """Draw one state of the task in each quality and look, into a figure."""
     figure, panels = plt.subplots(
         len(CAMERAS), len(COLUMNS), figsize=(12, 3.9), layout="tight"
     )
     for column, (title, kind) in enumerate(COLUMNS.items()):
-        pictures = _pictures(task, *kind)
+        images = _images(task, *kind)
         panels[0, column].set_title(title, fontsize=9)
         for row, camera in enumerate(CAMERAS):
-            _show(panels[row, column], pictures[part_name(camera)])
+            _show(panels[row, column], images[part_name(camera)])
             panels[row, 0].set_ylabel(camera, fontsize=9)
     replace_file(path, lambda part: figure.savefig(part, dpi=120))
     plt.close(figure)
 
 
-def _pictures(task: str, quality: Quality, looks: float | str) -> dict[str, Array]:
+def _images(task: str, quality: Quality, looks: float | str) -> dict[str, Array]:
     """Camera part -> uint8 [SIZE, SIZE, 3] of the last of a few steps."""
     cameras = CameraConfig(CAMERAS, SIZE, quality)
     batch = make_batch(task, cameras=cameras, looks=looks, seed=3)
     batch.begin(np.array([0]))
     for _ in range(STEPS):
         images = batch.step(batch.expert()).images
-    return {name: picture[0] for name, picture in images.items()}
+    return {name: image[0] for name, image in images.items()}
 
 
-def _show(axes: Axes, picture: Array) -> None:
-    axes.imshow(picture, origin="lower", interpolation="nearest")
+def _show(axes: Axes, image: Array) -> None:
+    axes.imshow(image, origin="lower", interpolation="nearest")
     axes.set(xticks=[], yticks=[])
