@@ -1,4 +1,4 @@
-"""Diagnose a run from its training metrics: where it is stuck, drops or has collapsed."""
+"""Diagnose a run from its training metrics: is it stuck, and at which milestone?"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -64,8 +64,9 @@ def diagnose(
         total_steps: control steps of the whole run.
 
     Returns:
-        the first of these that holds; None for a run that goes well: a rate has
-        collapsed; the first milestone that is not learned is stuck; success is not held.
+        the first of these that holds, None for a run that goes well: a rate has
+        collapsed; the first milestone that is not learned is stuck; success is not
+        held.
     """
     rows = [row for row in rows if "train/success_held" in row]
     if not rows:

@@ -41,17 +41,16 @@ class TrainingAverages:
         milestones = np.mean([episode.milestones for episode in self.episodes], axis=0)
         return {
             "train/return": float(np.mean([e.total_reward for e in self.episodes])),
-            **{
-                f"train/{kind}": float(
-                    np.mean([getattr(e, kind) for e in self.episodes])
-                )
-                for kind in SUCCESS
-            },
+            **{f"train/{kind}": self._share(kind) for kind in SUCCESS},
             **{
                 f"train/{name}": float(share)
                 for name, share in zip(self._milestones, milestones, strict=True)
             },
         }
+
+    def _share(self, kind: str) -> float:
+        """Share of the episodes with a kind of success."""
+        return float(np.mean([getattr(e, kind) for e in self.episodes]))
 
     def _of_terms(self) -> dict[str, float]:
         """Mean contribution of each term to a step's reward: weight * term."""

@@ -24,6 +24,7 @@ from manip.training.config import SCALE, TrainConfig
 from manip.training.groups import groups_of
 from manip.training.inputs import cameras_of, spaces_of
 from manip.training.reward_weights import parse_weights
+from manip.training.schedule import has_curve
 from manip.training.teacher import check_teacher, expert_of, with_reference
 from manip.versions import versions
 
@@ -93,17 +94,19 @@ def evaluation_env(config: TrainConfig) -> TaskEnv:
     return TaskEnv(batch)
 
 
-def curve_env(config: TrainConfig, training: TaskBatch) -> TaskEnv:
+def curve_env(config: TrainConfig, training: TaskBatch) -> TaskEnv | None:
     """Build the environments of light evaluations: physics and length of training.
 
     Their episodes begin as those of `evaluation_env`, and share the scene of the
-    environments that the run trains in.
+    environments that the run trains in. None if the run has no light evaluations.
     """
+    if not (config.curve_episodes and has_curve(config.eval_every, config.steps)):
+        return None
     native = isinstance(training, NativeBatch)
     batch = _batch(
         config,
         config.curve_episodes,
-        cameras=cameras_of(config, config.image_quality),
+        cameras=cameras_of(config),
         fidelity=config.fidelity,
         threads=config.threads,
         horizon=config.horizon,

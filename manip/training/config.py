@@ -127,7 +127,7 @@ class TrainConfig:
     curve_episodes: Annotated[int, Range(0, 10_000)] = 8
     """Episodes of a light evaluation for the learning curve, in the physics and with
     the length of training episodes, in each tenth of the run that has no other
-    evaluation; 0 for none. They choose no policy, and change nothing that is learned."""
+    evaluation; 0 for none. They choose no policy and do not change the run."""
     faults: Literal["survive", "stop"] = "survive"
     """A number that is not finite ends an episode or skips an update (survive), or
     ends the run (stop)."""

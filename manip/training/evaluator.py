@@ -74,14 +74,14 @@ class Evaluator:
     def __init__(self, config: TrainConfig, training: TaskBatch) -> None:
         self._config = config
         self.env = evaluation_env(config)
-        self._curve_env = curve_env(config, training) if config.curve_episodes else None
+        self._curve_env = curve_env(config, training)
 
     def __call__(self, agent: Agent, env_steps: int) -> PolicyEvaluation:
         """Evaluate an agent's policy after `env_steps` control steps of training."""
         return self._evaluate("eval", agent, env_steps, self.env)
 
     def light(self, agent: Agent, env_steps: int) -> PolicyEvaluation | None:
-        """Evaluate it over few episodes as those of training; None if there are none."""
+        """Evaluate it in short, over few episodes; None if the run is not to."""
         env = self._curve_env
         return env and self._evaluate("curve", agent, env_steps, env)
 

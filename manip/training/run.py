@@ -96,6 +96,7 @@ def train(
         )
         with closing(trainer):
             finished = trainer.run()
+            _draw_learning_curve(trainer)
     return _result(trainer, finished)
 
 
@@ -121,6 +122,14 @@ def _result(trainer: Trainer, finished: bool) -> RunResult:
         policy=folder / "policy",
         waiting=trainer.waiting,
     )
+
+
+def _draw_learning_curve(trainer: Trainer) -> None:
+    from manip.evaluation.learning_curve import plot_learning_curve  # matplotlib
+
+    config, rows = trainer.config, trainer.state.rows
+    title = f"{config.task}, {config.robot}, {config.method}, seed {config.seed}"
+    plot_learning_curve(rows, title, trainer.folder / "learning_curve.png")
 
 
 def _success(rows: Sequence[dict[str, float]], best: list[float]) -> dict[str, float]:

@@ -26,6 +26,11 @@ def next_choice(now: int, every: int, steps: int) -> int:
     return min((now // every + 1) * every, steps)
 
 
+def has_curve(every: int, steps: int) -> bool:
+    """Whether a run with evaluations every so many steps has light ones, too."""
+    return every > -(-steps // PARTS)
+
+
 def curve_due(before: int, now: int, every: int, steps: int) -> bool:
     """Whether a light evaluation follows the rollout that ended at step `now`.
 

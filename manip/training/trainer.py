@@ -114,11 +114,8 @@ class Trainer:
 
     def _evaluate_or_log(self, before: int) -> None:
         """Evaluate, log and save what is due after the rollout from step `before`."""
-        now, every, steps = (
-            self.state.env_steps,
-            self.config.eval_every,
-            self.config.steps,
-        )
+        now, steps = self.state.env_steps, self.config.steps
+        every = self.config.eval_every
         if now >= next_choice(before, every, steps):
             self._save(best=self._evaluate())
             return
