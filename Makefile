@@ -15,7 +15,7 @@ CHECK := -c 'import sys; v = sys.version_info[:2]; sys.exit(v < (3, 11) and \
 	there is one, and name another Python: make setup PYTHON=python3.12" % ((sys.executable,) + v))'
 
 .DEFAULT_GOAL := help
-.PHONY: help setup peers test test-slow test-browser lint format demo lock clean
+.PHONY: help setup peers test test-slow test-browser lint format demo docs films lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-10s  %s\n", $$1, $$2 }' Makefile
@@ -72,6 +72,15 @@ format: setup ## Format the code and fix what ruff can fix
 
 demo: setup ## Run the demonstration; its results go to runs/demo
 	$(BIN)/python scripts/demo.py --out runs/demo
+
+# Warnings are errors.
+docs: setup ## Build the documentation site into build/docs
+	$(PIP) install --quiet --constraint requirements.lock furo myst-parser sphinx
+	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going docs build/docs
+	@echo 'Open build/docs/index.html in a browser.'
+
+films: setup ## Render the videos of the gallery in the documentation again
+	$(BIN)/python scripts/films.py
 
 # Keeps the comments. labmaze has no wheel for Python 3.13 and newer. manip does not need
 # it: only dm_control.locomotion imports it.

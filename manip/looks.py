@@ -48,11 +48,13 @@ class Looks:
 
 
 def check_looks(value: object) -> Looks:
-    """The looks of a strength from 0 to 1, or of a suite in `SUITES`.
+    """The looks of a strength from 0 to 1, or of a suite in `SUITES`, or given ones.
 
     Raises:
         UserError: it is neither.
     """
+    if isinstance(value, Looks):
+        return value
     if isinstance(value, str):
         if value not in SUITES:
             raise unknown("suite of looks", value, SUITES)

@@ -78,7 +78,7 @@ class ObservationSpec:
             return np.concatenate(flat, axis=1, dtype=np.float32)
 
     def split(self, vector: Vector) -> dict[str, Vector]:
-        """Named views [..., *shape] of a joined vector [..., D], numpy's or torch's."""
+        """Named views `[..., *shape]` of a joined vector [..., D] (numpy or torch)."""
         joined = cast(Any, vector)
         return {
             part.name: joined[..., self.slices[part.name]].reshape(

@@ -50,6 +50,8 @@ class PolicyCard:
             `manip.agents.image_encoder`.
         image_quality: of the images that the policy was trained with.
         looks: strength of the random looks that it was trained with.
+        randomised: what differed from episode to episode of its training, see
+            `manip.envs.perturbation`; empty for nothing.
         image_convention: order of the rows: "opengl", the bottom row first, as
             robosuite's camera observations are.
         horizon: length of the task's episodes [control steps]; 0 if it is not known.
@@ -86,6 +88,7 @@ class PolicyCard:
     image_features: Annotated[int, Range(0, MOST_NEURONS)] = 0
     image_quality: Literal["", "exact", "lean"] = ""
     looks: Annotated[float, Range(0.0, 1.0)] = 0.0
+    randomised: list[dict[str, str | float | list[float]]] = field(default_factory=list)
     image_convention: Literal["opengl"] = "opengl"
     horizon: Annotated[int, WHOLE] = 0
     fidelity: Literal["", "exact", "fast"] = ""

@@ -4,22 +4,22 @@ A rollout is a TensorDict of shape [N, T]: T control steps of N environments. St
 an environment continues where step t - 1 stopped, also across rollouts, unless an
 episode ended there; the step after an end is the first one of the next episode.
 
-| key | shape | what |
-|---|---|---|
-| observation | [N, T, D] float32 | joined parts of the state |
-| <camera>_image | [N, T, H, W, C] uint8 | a key for each camera, if there are any |
-| action | [N, T, A] float32 | what it did, in [-1, 1] before clipping |
-| action_log_prob | [N, T] float32 | log pi(a, s), from on-policy algorithms |
-| expert_action | [N, T, A] float32 | expert's or teacher's, if the agent imitates |
-| next, observation | [N, T, D] float32 | the true successor, also at an end |
-| next, <camera>_image | as above | of the successor |
-| next, reward | [N, T, 1] float32 | reward of the step |
-| next, reward_terms | [N, T, K] float32 | the task's raw reward terms |
-| next, measures | [N, T, M] float32 | the task's visible measures, if requested |
-| next, terminated | [N, T, 1] bool | the task failed: no future, do not bootstrap |
-| next, truncated | [N, T, 1] bool | the time is up: bootstrap from the successor |
-| next, done | [N, T, 1] bool | terminated or truncated |
-| next, success | [N, T, 1] bool | the task's success condition holds |
+Keys, shapes, contents::
+
+    observation          [N, T, D] float32      joined parts of the state
+    <camera>_image       [N, T, H, W, C] uint8  one key a camera, if there are any
+    action               [N, T, A] float32      what it did, in [-1, 1] before clipping
+    action_log_prob      [N, T] float32         log pi(a, s), from on-policy algorithms
+    expert_action        [N, T, A] float32      of the expert or teacher
+    next, observation    [N, T, D] float32      the true successor, also at an end
+    next, <camera>_image as above               of the successor
+    next, reward         [N, T, 1] float32      reward of the step
+    next, reward_terms   [N, T, K] float32      the task's raw reward terms
+    next, measures       [N, T, M] float32      visible measures, if requested
+    next, terminated     [N, T, 1] bool         the task failed: do not bootstrap
+    next, truncated      [N, T, 1] bool         time is up: bootstrap
+    next, done           [N, T, 1] bool         terminated or truncated
+    next, success        [N, T, 1] bool         the task's success condition holds
 """
 
 import torch

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from manip.cameras import CameraConfig, check_cameras
 from manip.envs.episode_streams import TRAINING, Purpose, check_purpose, check_seed
 from manip.envs.option_checks import check_flag
+from manip.envs.perturbation import Perturbation, Perturbations
 from manip.errors import UserError, at_least, shown
-from manip.looks import check_looks
+from manip.looks import Looks, check_looks
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,8 @@ class EpisodeOptions:
         cameras: cameras whose images are parts of the observation; None for none.
         looks: strength, from 0 to 1, of the random changes of each episode's look, or
             the name of a suite of fixed looks (see `manip.looks`); native backend only.
+        perturbations: what differs from the nominal task, and how it is drawn for each
+            episode or step (see `manip.envs.perturbation`).
         motion: whether `TaskBatch.motion` can be called; no effect but with the
             native backend.
 
@@ -39,7 +42,8 @@ class EpisodeOptions:
     purpose: Purpose = TRAINING
     first_env: int = 0
     cameras: CameraConfig | None = None
-    looks: float | str = 0.0
+    looks: float | str | Looks = 0.0
+    perturbations: Perturbations = ()
     motion: bool = False
 
     def __post_init__(self) -> None:
@@ -49,8 +53,18 @@ class EpisodeOptions:
         check_purpose(self.purpose)
         check_cameras(self.cameras)
         check_flag("motion", self.motion)
+        for each in self.perturbations:
+            if not isinstance(each, Perturbation):
+                raise UserError(
+                    f"perturbations must be Perturbation(...) each, not {shown(each)}"
+                )
         if check_looks(self.looks).groups and not check_cameras(self.cameras).names:
             raise UserError("looks change images only: name cameras, too")
+
+    def refuse_perturbations(self, library: str) -> None:
+        """Raise `UserError` if something is perturbed that another library steps."""
+        if self.perturbations:
+            raise UserError(f"tasks of {library} cannot be perturbed: choose another")
 
     def refuse_looks(self, library: str) -> None:
         """Raise `UserError` if looks vary, which another library does not draw."""

@@ -18,6 +18,7 @@ from manip.envs.image_stacks import ImageStacks
 from manip.envs.measure_cache import MeasureCache
 from manip.envs.option_checks import state_array
 from manip.envs.optional_abilities import OptionalAbilities
+from manip.envs.perturber import Perturber
 from manip.envs.reward_range import RewardRange
 from manip.envs.task import Measures, Task
 from manip.envs.task_check import check_memory, check_task
@@ -104,6 +105,9 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
             (num_envs, self.observation_spec.dim), np.float32
         )
         self._non_finite = np.zeros(num_envs, bool)
+        self._perturber: Perturber | None = None
+        if options.perturbations:
+            self._perturber = Perturber(options.perturbations, self)
 
     @abstractmethod
     def read(self) -> Measures:
@@ -174,10 +178,14 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
         self._begun[env_ids] = True
         if len(env_ids):
             with blamed(self.task):
+                if self._perturber:
+                    self._perturber.begin(env_ids)
                 with self._cache.restarting(env_ids):
                     self._start_episodes(env_ids)
                 self._update_memory(env_ids)
                 self._visible.begin(env_ids)
+                if self._perturber:
+                    self._perturber.observe_start(env_ids, self.read(), self.elapsed)
             self._image_stacks.restart(env_ids)
 
     def step(self, action: Array) -> TimeStep:
@@ -194,8 +202,11 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
         action = np.asarray(action)
         if not self._begun.all():
             raise UserError("step() was called before reset(): begin an episode first")
+        perturber = self._perturber
         with exits_blamed(self.task):
-            diverged = self._move(action)
+            diverged = self._move(
+                perturber.act(action, self.elapsed) if perturber else action
+            )
         self.elapsed += 1
         self._image_stacks.append()
         if diverged.any():
@@ -204,6 +215,8 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
                 [("action", no_number), ("physics", diverged & ~no_number)]
             )
         with blamed(self.task):
+            if self._perturber:
+                self._perturber.observe_step(self.read(), self.elapsed)
             time_step = self._time_step((self.elapsed >= self.horizon) | diverged)
             self._visible.step()
             self._update_memory(np.flatnonzero(~diverged))
@@ -256,8 +269,11 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
         terminated = outputs.failure
         reward = weighted_sum(outputs.terms, self.reward_weights)
         self._range.check(reward)
+        observation = self.observation_spec.join(outputs.parts)
+        if self._perturber:
+            observation = self._perturber.observation(self.elapsed)
         time_step = TimeStep(
-            observation=self.observation_spec.join(outputs.parts),
+            observation=observation,
             reward=reward,
             reward_terms=outputs.terms,
             success=outputs.success,

@@ -20,14 +20,16 @@ from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.backends.worker_pool import end_with_parent
 from manip.envs.episode_streams import EVALUATION, Purpose
 from manip.envs.make_batch import Backend, make_batch
+from manip.envs.perturbation import Perturbations
 from manip.envs.task import Task
 from manip.envs.task_batch import TaskBatch
 from manip.evaluation.episode_details import DetailTracker
 from manip.evaluation.episodes import Episode, Penalty, Policy, run_episodes
+from manip.looks import Looks
 from manip.observation import check_observation
 from manip.robot_config import RobotConfig
 from manip.sim.robosuite_log import quiet_robosuite
-from manip.sim.scene import Fidelity
+from manip.sim.scene import Fidelity, Scene
 
 Array = np.ndarray
 
@@ -70,6 +72,7 @@ class EpisodeSettings:
         taste: penalises the steps; None for nothing.
         looks: suite of fixed looks of the native backend's images (`manip.looks`);
             None for robosuite's own look.
+        perturbations: what differs from the nominal task.
         details: whether `Episode.details` are recorded; the motion of the robot by the
             native backend only.
     """
@@ -84,7 +87,8 @@ class EpisodeSettings:
     backend: Backend = "stock"
     fidelity: Fidelity = "exact"
     taste: StepPenalties | None = None
-    looks: str | None = None
+    looks: str | Looks | None = None
+    perturbations: Perturbations = ()
     details: bool = False
 
 
@@ -93,6 +97,7 @@ def evaluate_policy(
     settings: EpisodeSettings,
     progress: Progress = lambda _: None,
     processes: int | None = None,
+    scene: Scene | None = None,
 ) -> list[Episode]:
     """Run the episodes: natively in one batch, else in several processes.
 
@@ -105,13 +110,14 @@ def evaluate_policy(
         progress: called with the number of episodes that have just ended.
         processes: processes that run stock episodes, one for each usable CPU unless
             given; with 1, this very process. The number changes the speed only.
+        scene: compiled scene of native episodes, instead of building one.
 
     Raises:
         UserError: the environment lacks a part of the observation.
         ChildProcessError: a process has died.
     """
     if settings.backend == "native":
-        env = make_env(settings, settings.episodes)
+        env = make_env(settings, settings.episodes, scene)
         results = run_settings(env, policy, settings, settings.episodes)
         progress(len(results))
         return results
@@ -119,8 +125,12 @@ def evaluate_policy(
     return list(_counted(episodes, progress))
 
 
-def make_env(settings: EpisodeSettings, num_envs: int = 1) -> TaskEnv:
+def make_env(
+    settings: EpisodeSettings, num_envs: int = 1, scene: Scene | None = None
+) -> TaskEnv:
     """Environments whose next episodes are the first of the settings.
+
+    `scene` is a compiled scene of the native backend, instead of building one.
 
     Raises:
         UserError: the environment lacks a part of the observation.
@@ -128,6 +138,7 @@ def make_env(settings: EpisodeSettings, num_envs: int = 1) -> TaskEnv:
     options: dict[str, Any] = {"hard_reset": True}
     if settings.backend == "native":
         options = {"fidelity": settings.fidelity, "motion": settings.details}
+        options |= {"scene": scene} if scene else {}
     batch = make_batch(
         settings.task,
         num_envs,
@@ -137,6 +148,7 @@ def make_env(settings: EpisodeSettings, num_envs: int = 1) -> TaskEnv:
         purpose=settings.purpose,
         cameras=settings.cameras,
         looks=settings.looks or 0.0,
+        perturbations=settings.perturbations,
         **options,
     )
     if settings.observation is not None:

@@ -66,7 +66,9 @@ def _fits(value: Any, hint: Any) -> bool:
 
 
 def _with_tuples(value: Any, hint: Any) -> Any:
-    return tuple(value) if get_origin(hint) is tuple else value
+    kinds = get_args(hint) if get_origin(hint) is UnionType else (hint,)
+    tuples = any(get_origin(kind) is tuple for kind in kinds)
+    return tuple(value) if tuples and isinstance(value, list) else value
 
 
 _NAMES = {int: "a whole number", float: "a number", str: "text", NoneType: "nothing"}

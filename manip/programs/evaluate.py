@@ -1,6 +1,7 @@
 """`manip evaluate`: measure a policy's success over many episodes."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -9,13 +10,18 @@ import torch
 import tyro
 from rich.console import Console
 from rich.progress import Progress
+from rich.table import Table
 
 from manip.cameras import Quality
 from manip.envs.external_task import library_of
 from manip.envs.make_batch import Backend
-from manip.errors import at_least
+from manip.errors import UserError, at_least
 from manip.evaluation.episode_table import episode_rows, episodes_csv
 from manip.evaluation.report import Evaluation, table
+from manip.evaluation.robustness import robustness_table
+from manip.evaluation.robustness_figure import draw_robustness
+from manip.evaluation.runners import Progress as Count
+from manip.evaluation.stress_suite import load_suite
 from manip.io.atomic_files import write_text
 from manip.io.output_paths import check_output
 from manip.programs import cli
@@ -28,6 +34,7 @@ from manip.training.final_evaluation import (
     load_policy_and_task,
     measure_on_task,
 )
+from manip.training.stress_evaluation import evaluate_under_stress
 
 EPISODES = "episodes.csv"
 
@@ -67,6 +74,9 @@ class Evaluate:
     """Fixed looks of the images, in turn, to test robustness (native engine): one of
     unseen-textures, unseen-lights, unseen-cameras and unseen (all of them), each with
     three looks; with -1, -2 or -3 appended, that look alone."""
+    perturb: str | None = None
+    """Suite of perturbations, each at several strengths, in the same episodes:
+    standard, or a YAML file of your own. --episodes is the number for each strength."""
     image_quality: Quality = "exact"
     """Images of the native engine. exact: robosuite's bytes; lean: several times
     faster, without reflections and with fewer triangles."""
@@ -75,17 +85,18 @@ class Evaluate:
     out: Path | None = None
     """Folder for the result as JSON (eval.json) and a table of the episodes
     (episodes.csv): success, first step of each milestone, sum of each reward term, and
-    with --env native how the robot moved."""
+    with --env native how the robot moved. With --perturb: robustness.json, .csv and
+    .png."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Evaluate, write the JSON file, print the table."""
+    """Evaluate, write the files, print the table."""
     options = cli.parse(Evaluate, arguments, "manip evaluate")
-    if options.json:
-        check_output(options.json, "--json")
-    if options.out:
-        check_output(options.out / EPISODES, "--out")
+    _check(options)
     torch.set_num_threads(1)
+    if options.perturb:
+        console().print(_stress(options))
+        return 0
     result = evaluate(options)
     if options.json:
         write_text(options.json, result.to_json())
@@ -99,10 +110,45 @@ def evaluate(options: Evaluate) -> Evaluation:
     Raises:
         UserError: an option is out of range, or there is no such policy.
     """
+    policy, task = load_policy_and_task(options.run, options.policy, options.robot)
+    with _progress(options, policy.card.task, options.episodes) as advance:
+        result, episodes = measure_on_task(policy, task, _episodes(options), advance)
+    if options.out:
+        write_text(options.out / "eval.json", result.to_json())
+        write_text(options.out / EPISODES, episodes_csv(episode_rows(episodes, task)))
+    return result
+
+
+def _stress(options: Evaluate) -> Table:
+    """Evaluate under perturbations, write the files; return the table."""
+    suite = load_suite(str(options.perturb))
+    policy, task = load_policy_and_task(options.run, options.policy, options.robot)
+    levels = 1 + sum(len(stress.levels) for stress in suite.values())
+    total = levels * options.episodes
+    with _progress(options, policy.card.task, total) as advance:
+        result = evaluate_under_stress(policy, task, _episodes(options), suite, advance)
+    if options.json:
+        write_text(options.json, result.to_json())
+    if options.out:
+        write_text(options.out / "robustness.json", result.to_json())
+        write_text(options.out / "robustness.csv", result.to_csv())
+        draw_robustness(result, options.out / "robustness.png")
+    return robustness_table(result)
+
+
+def _check(options: Evaluate) -> None:
+    if options.json:
+        check_output(options.json, "--json")
+    if options.out:
+        check_output(options.out / EPISODES, "--out")
     check_episodes(options.episodes)
     at_least(0, "--seed", options.seed)
-    policy, task = load_policy_and_task(options.run, options.policy, options.robot)
-    settings = EvaluationOptions(
+    if options.perturb and options.looks:
+        raise UserError("--perturb changes looks itself: drop --looks")
+
+
+def _episodes(options: Evaluate) -> EvaluationOptions:
+    return EvaluationOptions(
         options.env,
         options.episodes,
         options.seed,
@@ -110,16 +156,13 @@ def evaluate(options: Evaluate) -> Evaluation:
         taste=options.taste,
         looks=options.looks,
         image_quality=options.image_quality,
-        details=options.out is not None,
+        details=options.out is not None and not options.perturb,
     )
+
+
+@contextmanager
+def _progress(options: Evaluate, task: str, total: int) -> Iterator[Count]:
+    """A progress bar on stderr; yields the function that advances it."""
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        name = f"{options.env} {library_of(policy.card.task)}"
-        running = bar.add_task(name, total=options.episodes)
-        result, episodes = measure_on_task(
-            policy, task, settings, lambda n: bar.advance(running, n)
-        )
-    if options.out:
-        write_text(options.out / "eval.json", result.to_json())
-        rows = episode_rows(episodes, task)
-        write_text(options.out / EPISODES, episodes_csv(rows))
-    return result
+        running = bar.add_task(f"{options.env} {library_of(task)}", total=total)
+        yield lambda count: bar.advance(running, count)

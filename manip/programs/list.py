@@ -11,11 +11,13 @@ from manip.agents.policy import shipped_policies
 from manip.agents.registry import algorithm_names
 from manip.envs.external_task import external_names
 from manip.envs.task_registry import task_names
+from manip.evaluation.stress_suite import suite_names
 from manip.io.printable import printable
 from manip.preferences.tastes import shipped_tastes
 from manip.programs import cli
 from manip.programs.output import console
 from manip.robot_config import CONTROLLERS, ROBOTS
+from manip.training.randomisation import randomisation_names
 from manip.training.recipes import recipe_names
 
 
@@ -49,6 +51,8 @@ def catalogue() -> dict[str, list[str]]:
         "recipes": recipe_names(),
         "policies": list(shipped_policies()),
         "tastes": shipped_tastes(),
+        "perturbations": suite_names(),
+        "randomisations": randomisation_names(),
     }
 
 

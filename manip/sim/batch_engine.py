@@ -23,6 +23,7 @@ from manip.sim.not_copied import NotCopied
 from manip.sim.read_only import read_only
 from manip.sim.scene import Scene
 from manip.sim.scene_layout import constant_readings, with_joints
+from manip.sim.scene_variation import draw_sizes
 from manip.sim.state_row import (
     default_row,
     reading_columns,
@@ -223,6 +224,8 @@ class BatchEngine(NotCopied):
         model = mujoco.MjModel.__copy__(self.scene.visual)
         for slot in self.scene.layout.fields:
             write_slot(model, slot, state[self._columns[slot.name]])
+        varied = {s.name: state[self._columns[s.name]] for s in self.scene.varied}
+        draw_sizes(self.scene, model, varied)
         return model
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "BatchEngine":

@@ -25,6 +25,7 @@ class Engine(Protocol):
     """N independent environments of one scene.
 
     Guarantees of every engine:
+
     * An environment does not depend on the others, on N, or on the number of threads.
     * A snapshot is complete: restored, at any place of any engine of the same scene,
       it replays bit for bit.

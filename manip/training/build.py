@@ -23,6 +23,7 @@ from manip.errors import UserError
 from manip.training.config import SCALE, TrainConfig
 from manip.training.groups import groups_of
 from manip.training.inputs import cameras_of, spaces_of
+from manip.training.randomisation import load_randomisation
 from manip.training.reward_weights import parse_weights
 from manip.training.schedule import has_curve
 from manip.training.teacher import check_teacher, expert_of, with_reference
@@ -61,6 +62,7 @@ def training_env(config: TrainConfig, group: int, groups: int) -> TaskEnv:
         num_envs,
         cameras=cameras_of(config),
         looks=config.looks,
+        perturbations=load_randomisation(config.randomise),
         fidelity=config.fidelity,
         threads=max(1, share_threads(config)[0] // groups),
         horizon=config.horizon,
@@ -187,6 +189,7 @@ def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Po
         image_features=encoders.features if encoders else 0,
         image_quality=config.image_quality if encoders else "",
         looks=config.looks,
+        randomised=[each.to_dict() for each in load_randomisation(config.randomise)],
         env_steps=steps,
         seed=config.seed,
         versions=versions(),

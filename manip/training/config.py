@@ -84,6 +84,10 @@ class TrainConfig:
     """Strength, from 0 to 1, of random changes of colours, textures, lights and camera
     poses in each episode (domain randomisation), also of the evaluations that choose
     the best policy."""
+    randomise: str = ""
+    """What differs from episode to episode of the training besides images, such as
+    masses, friction and delays (domain randomisation): the name of a shipped list (see
+    `manip list`), or a YAML file of your own. Evaluations have none."""
     teacher: str | None = None
     """Policy that `--algo bc` imitates instead of the task's expert: a run folder, a
     policy folder or the name of a shipped policy. It sees the whole observation."""

@@ -103,7 +103,7 @@ def measure_on_task(
     Raises:
         UserError: the task lacks a part that the policy observes, or has no such taste.
     """
-    card, settings = policy.card, _settings(options, policy, task)
+    card, settings = policy.card, episode_settings(options, policy, task)
     began = time.monotonic()
     episodes = evaluate_policy(policy, settings, progress, options.processes)
     result = Evaluation(
@@ -134,9 +134,14 @@ def check_episodes(episodes: int, least: int = 1) -> None:
         raise UserError(f"--episodes must be at most {MOST_EPISODES}, not {episodes}")
 
 
-def _settings(
+def episode_settings(
     options: EvaluationOptions, policy: AnyPolicy, task: Task
 ) -> EpisodeSettings:
+    """The episodes of an evaluation of a policy.
+
+    Raises:
+        UserError: the policy sees no images, but options are about them.
+    """
     return EpisodeSettings(
         task=task,
         robot=policy.card.robot_config,

@@ -1,6 +1,6 @@
 """Tasks as Gymnasium environments: N in a VectorEnv, or one in an Env.
 
-Importing this module registers every task as `manip/<task>-v0`:
+Importing this module registers every task as `manip/<task>-v0`::
 
     import gymnasium
     import manip.envs.adapters.gymnasium
@@ -11,7 +11,7 @@ Importing this module registers every task as `manip/<task>-v0`:
 `info` holds `success`, and `milestones` and `reward_terms` by their names. A time limit
 is a truncation, and so is a simulation that diverges.
 
-Options of both functions:
+Options of both functions::
 
     robot             arm name, or RobotConfig(arm, controller, control_freq)
     reward            reward set: "shaped" or "stock"
@@ -27,7 +27,7 @@ Options of both functions:
     image_quality     "exact" (robosuite's images) or "lean" (cheaper, to train on)
     frames            number of latest images that are stacked, 1 by default
 
-Of `gymnasium.make`, and `make_vec(..., vectorization_mode="sync" | "async")`, only:
+Of `gymnasium.make`, and `make_vec(..., vectorization_mode="sync" | "async")`, only::
 
     backend           "native" or "stock"
     hard_reset        rebuild the model at every reset (stock)

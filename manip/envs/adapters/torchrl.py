@@ -1,6 +1,6 @@
 """Tasks as TorchRL environments.
 
-Keys, with N environments:
+Keys, with N environments::
 
     observation    [N, D] float32, joined parts (`TaskEnv.parts` names them)
     action         [N, A] float32 in [-1, 1]

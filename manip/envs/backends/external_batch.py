@@ -74,6 +74,7 @@ class ExternalBatch(NotCopied, TaskBatch):
         processes = min(threads or usable_cpus(), num_envs)
         episodes = EpisodeOptions(**({"reward": "stock"} | options))
         episodes.refuse_looks(task.library)
+        episodes.refuse_perturbations(task.library)
         cameras = check_cameras(episodes.cameras)
         make = partial(_open, task, robot, hard_reset, cameras, episodes)
         with exits_blamed(task):

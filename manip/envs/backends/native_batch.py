@@ -20,6 +20,7 @@ from manip.envs.task_batch import TaskBatch
 from manip.envs.task_check import check_start
 from manip.envs.task_errors import blamed
 from manip.envs.time_step import TimeStep
+from manip.envs.varied_starts import VariedStarts
 from manip.errors import UserError, at_least, check_choice, shown
 from manip.looks import check_looks
 from manip.robot_config import RobotConfig, check_robot_config
@@ -92,6 +93,9 @@ class NativeBatch(DeepCopied, TaskBatch):
                 task.robosuite_name, task.sensors, robot, fidelity
             )
             milestones = len(task.milestone_names)
+        quantities = [each.quantity for each in episodes.perturbations]
+        self._varied = VariedStarts(self.scene, task.sensors, quantities)
+        self.scene = self._varied.scene
         if episodes.motion:
             self.scene = replace(self.scene, with_peaks=True)
         self.engine = BatchEngine(self.scene, num_envs, threads)
@@ -150,6 +154,8 @@ class NativeBatch(DeepCopied, TaskBatch):
         streams = EpisodeStreams(self.seed, numbers, episodes, self.purpose)
         self._looks.begin(env_ids, self.seed, self.purpose, numbers, episodes)
         start = self.task.sample_start(self.scene, streams)
+        if self._perturber:
+            start = self._varied.apply(start, self._perturber.model_values(env_ids))
         self.engine.reset(env_ids, start.qpos, start.fields)
         if self._stagger:
             first = episodes == 0
@@ -210,6 +216,7 @@ class NativeBatch(DeepCopied, TaskBatch):
             "readings": snapshot.readings,
             **self._clocks(),
             **self._looks.save_state(),
+            **(self._perturber.save_state() if self._perturber else {}),
             "restarts": self._restarts and self._restarts.save_state(),
         }
 
@@ -224,6 +231,9 @@ class NativeBatch(DeepCopied, TaskBatch):
         readings = state_array(state, "readings", now.readings)
         self._restore_clocks(state)
         self._looks.load_state(state)
+        if self._perturber:
+            self._perturber.begin(np.flatnonzero(self._begun))
+            self._perturber.load_state(state)
         if self._restarts:
             self._restarts.load_state(state["restarts"])
         self.engine.restore(Snapshot(states, readings))

@@ -18,6 +18,7 @@ from manip.sim.robosuite_factory import PANDA, reseed
 from manip.sim.stock_check import check_stock
 from manip.sim.stock_driver import StockDriver, check_stock_cameras, open_stock
 from manip.sim.stock_reader import stock_reader
+from manip.sim.stock_variation import StockVariation
 
 Array = np.ndarray
 
@@ -70,6 +71,7 @@ class StockBatch(NotCopied, TaskBatch):
         self._reader = stock_reader(self.stock, task.sensors)
         self._memory = _blank(task)
         self._exclusive = ExclusiveUse("the robosuite environment")
+        self._variation = StockVariation(self.stock, task.sensors)
         action_dim = self.stock.action_dim
         super().__init__(task, 1, action_dim, episodes, robot.control_freq)
 
@@ -92,8 +94,12 @@ class StockBatch(NotCopied, TaskBatch):
             self.seed, self.purpose, self.first_env, int(self.episode[0])
         )
         reseed(self.stock, key)
+        values = self._perturber.model_values(env_ids) if self._perturber else {}
+        drawn = {name: float(value[0]) for name, value in values.items()}
         with self._exclusive:
+            self._variation.before_reset(drawn)
             self._observation = self._driver.run(self.stock.reset)
+            self._variation.after_reset(drawn)
         self._memory = _blank(self.task)
         if self.stock.hard_reset:
             self._reader = stock_reader(self.stock, self.task.sensors)
