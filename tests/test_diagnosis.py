@@ -48,12 +48,12 @@ FLAT = (0,) * 10
     ],
 )
 def test_the_first_thing_that_keeps_a_run_from_success_is_named(rates, words) -> None:
-    found = diagnose(rows(**rates), MILESTONES, 10_000)
-    assert (found.words if found else "").partition(" steps")[0].partition(":")[
+    diagnosis = diagnose(rows(**rates), MILESTONES, 10_000)
+    assert (diagnosis.words if diagnosis else "").partition(" steps")[0].partition(":")[
         0
     ] == words
-    if found:
-        assert found.words.endswith("see docs/troubleshooting.md")
+    if diagnosis:
+        assert diagnosis.words.endswith("see docs/troubleshooting.md")
 
 
 def test_a_run_without_finished_episodes_has_no_diagnosis() -> None:

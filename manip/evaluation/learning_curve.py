@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,7 +21,7 @@ COLORS = {
 }
 """Measure of success -> color; the columns of metrics.csv are KIND/NAME."""
 
-STYLES = {
+STYLES: dict[str, dict[str, Any]] = {
     "train": {"lw": 1, "alpha": 0.6},
     "curve": {"ls": "", "marker": "o", "mfc": "none"},
     "eval": {"ls": "", "marker": "o"},
@@ -88,12 +89,12 @@ def _draw(
     column: str,
     factor: float,
     color: str,
-    style: Mapping[str, object],
+    style: Mapping[str, Any],
 ) -> None:
     points = [(row["env_steps"], row[column]) for row in rows if column in row]
     if points:
         steps, values = np.array(points).T
-        axes.plot(steps / 1000, factor * values, color=color, **style)  # type: ignore[arg-type]
+        axes.plot(steps / 1000, factor * values, color=color, **style)
 
 
 def _mark_time(axes: Axes, rows: Sequence[Row]) -> None:

@@ -69,9 +69,9 @@ def _check_sources(groups: Sequence[Group]) -> None:
     runs = [run for group in groups for run in group.runs if run.final]
     sources = {run.source: run.folder for run in runs}
     if len(sources) > 1:
-        found = ", ".join(f"{folder}: {name}" for name, folder in sources.items())
+        listed = ", ".join(f"{folder}: {name}" for name, folder in sources.items())
         raise UserError(
-            f"runs were evaluated in different ways ({found}): evaluate all with "
+            f"runs were evaluated in different ways ({listed}): evaluate all with "
             "`manip evaluate RUN --json RUN/eval.json`"
         )
 
@@ -106,7 +106,7 @@ def _print_success(groups: Sequence[Group]) -> None:
 
 
 def _row(group: Group, first: Group) -> dict[str, Any]:
-    """A group as a row of the .csv file: its success and the difference from `first`."""
+    """A group as a row of the .csv file, with its difference from the first."""
     rate = group.rate
     compared = rate and first.rate and group is not first
     difference = difference_of_rates(group.counts, first.counts) if compared else None

@@ -17,7 +17,7 @@ PANELS = {
     "success_held in training episodes [%]": ((f"train/{MEASURE}",), 100),
     "return of training episodes": (("train/return",), 1),
 }
-"""Label of a panel -> the columns that it shows (a row has one of them), and a factor."""
+"""Label of a panel -> its columns, of which a row has one, and a factor."""
 
 
 def draw_comparison(groups: Sequence[Group], path: Path) -> None:
@@ -28,6 +28,8 @@ def draw_comparison(groups: Sequence[Group], path: Path) -> None:
         for place, group in enumerate(groups):
             _draw(axes, group, columns, factor, f"C{place % 10}")
         axes.set(xlabel="control steps [thousand]", ylabel=label)
+        if "%" in label:
+            axes.set_ylim(-3, 103)
     figure.suptitle("learning curves: mean and range over training seeds")
     save(figure, list(panels), path)
 

@@ -88,24 +88,23 @@ def load_runs(folders: Sequence[Path]) -> list[Run]:
         UserError: a folder holds no run, or a damaged one; one is given twice.
     """
     paths = [path for folder in folders for path in _run_folders(folder)]
-    seen = set()
-    for path in paths:
-        if path.resolve() in seen:
+    places = [path.resolve() for path in paths]
+    for path, place in zip(paths, places, strict=True):
+        if places.count(place) > 1:
             raise UserError(f"{path} is given twice: name each run once")
-        seen.add(path.resolve())
     return [_load(path) for path in paths]
 
 
 def _run_folders(folder: Path) -> list[Path]:
     if (folder / "config.yaml").is_file():
         return [folder]
-    found = [p.parent for g in ("*", "runs/*") for p in folder.glob(f"{g}/config.yaml")]
-    if not found:
+    paths = [*folder.glob("*/config.yaml"), *folder.glob("runs/*/config.yaml")]
+    if not paths:
         raise UserError(
             f"{folder} holds no run: name a run folder (with config.yaml), or a folder "
             "of run folders"
         )
-    return sorted(found)
+    return sorted(path.parent for path in paths)
 
 
 def _load(folder: Path) -> Run:
@@ -195,6 +194,4 @@ def _telling(runs: Sequence[Run]) -> Iterator[str]:
     for run in runs:
         kind = run.options["task"], run.options["algo"]
         kinds.setdefault(kind, []).append(run.options)
-    yield from dict.fromkeys(
-        n for options in kinds.values() for n in differences(options)
-    )
+    yield from dict.fromkeys(n for kind in kinds.values() for n in differences(kind))

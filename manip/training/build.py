@@ -104,7 +104,7 @@ def curve_env(config: TrainConfig, training: TaskBatch) -> TaskEnv | None:
     """
     if not (config.curve_episodes and has_curve(config.eval_every, config.steps)):
         return None
-    native = isinstance(training, NativeBatch)
+    shared = {"scene": training.scene} if isinstance(training, NativeBatch) else {}
     batch = _batch(
         config,
         config.curve_episodes,
@@ -113,7 +113,7 @@ def curve_env(config: TrainConfig, training: TaskBatch) -> TaskEnv | None:
         threads=config.threads,
         horizon=config.horizon,
         purpose=CHOICE,
-        **({"scene": training.scene} if native else {}),
+        **shared,
     )
     return TaskEnv(batch)
 
