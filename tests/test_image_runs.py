@@ -98,7 +98,7 @@ def state_options(folder: Path, **changes: Any) -> TrainConfig:
 def test_a_run_from_cameras_resumes_bit_for_bit_and_its_policy_is_usable(
     tmp_path: Path,
 ) -> None:
-    teacher_in(tmp_path / "teacher")
+    teacher = teacher_in(tmp_path / "teacher")
     config = options(tmp_path)
     whole = new_trainer(config)
     assert whole.run()
@@ -113,6 +113,10 @@ def test_a_run_from_cameras_resumes_bit_for_bit_and_its_policy_is_usable(
     assert card.cameras == CameraConfig(("robot0_eye_in_hand",), 16, "exact", 2)
     assert card.observation_spec.names == ("joint_pos", "robot0_eye_in_hand_image")
     assert card.image_quality == "lean"
+    next(teacher.actor.parameters()).data += 1.0
+    teacher.save(tmp_path / "teacher")
+    with pytest.raises(UserError, match="other weights than when"):
+        new_trainer(replace(again, resume=True)).run()
 
 
 def test_a_teacher_labels_every_state_with_its_own_action(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ TOWER = (
     {"preferences"},
     {"training"},
     {"cluster"},
-    {"benchmarks", "studies"},
+    {"benchmarks", "reports", "studies"},
     {"programs"},
 )
 """Rooms of manip from the bottom up; rooms of one floor do not import each other."""
@@ -38,6 +38,8 @@ HOME = {
     "dm_control": ("manip/sim/external/dm_control_sim.py",),
     "tyro": ("manip/programs",),
     "flask": ("manip/preferences/page",),
+    "jinja2": ("manip/reports",),
+    "markupsafe": ("manip/reports",),
     "envpool": ("manip/benchmarks",),
     "onnx": ("manip/agents/exports.py",),
     "onnxruntime": ("manip/deploy/exported_policy.py", "manip/agents/exports.py"),

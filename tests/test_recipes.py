@@ -137,3 +137,11 @@ def test_options_for_labels_have_the_types_of_options_and_fit_the_controller() -
     ]
     assert [len(agent.action_scale) for agent in scales] == [7, 0]
     assert all(type(agent.action_scale) is tuple for agent in scales)
+
+
+def test_options_for_labels_may_be_of_a_task() -> None:
+    lift, push = (with_labels(recipe(t, "ppo-kl"), Path("p")) for t in ("Lift", "Push"))
+    assert push.labels == replace(lift.labels, clip_steps=push.labels.clip_steps)
+    assert push.labels.clip_steps > lift.labels.clip_steps
+    assert push.horizon == 100
+    assert push.agent.target_kl == lift.agent.target_kl

@@ -14,9 +14,10 @@ from torch import Tensor, nn
 from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
 from torchrl.objectives import LossModule
 
-from manip.agents.agent import Agent, AgentConfig, Spaces
+from manip.agents.agent import Agent, Spaces
 from manip.agents.bounded_gaussian import BoundedGaussian
 from manip.agents.flat_parameters import flatten, zero_gradient
+from manip.agents.gaussian_actor import GaussianActorConfig, make_gaussian
 from manip.agents.networks import (
     Actor,
     RunningNorm,
@@ -25,13 +26,13 @@ from manip.agents.networks import (
     seeded_generator,
 )
 from manip.agents.value_targets import add_values
-from manip.io.option_ranges import COUNT, NUMBER, POSITIVE, SHARE, WHOLE, Range
+from manip.io.option_ranges import COUNT, NUMBER, POSITIVE, SHARE, WHOLE
 
 Samples = TypeVar("Samples", Tensor, TensorDictBase)
 
 
 @dataclass(frozen=True)
-class OnPolicyConfig(AgentConfig):
+class OnPolicyConfig(GaussianActorConfig):
     """Options of all on-policy algorithms; defaults suit manipulation at 20 Hz."""
 
     gamma: Annotated[float, SHARE] = 0.97
@@ -44,17 +45,8 @@ class OnPolicyConfig(AgentConfig):
     """c_V, weight of the critic's loss (value coefficient)."""
     max_gradient: Annotated[float, NUMBER] = 1.0
     """Largest norm of a gradient; longer ones are scaled down (max_grad_norm)."""
-    actor_hidden: Annotated[tuple[int, ...], COUNT] = (128, 128)
-    """Widths of the actor's hidden layers."""
     critic_hidden: Annotated[tuple[int, ...], COUNT] = (128, 128)
     """Widths of the critic's hidden layers."""
-    normalise: bool = True
-    """Normalise observations by running statistics, saved with the policy."""
-    action_scale: Annotated[tuple[float, ...], Range(1e-6, 1)] = ()
-    """Fraction of each action dimension's range that is used; 1 unless given."""
-    squash: bool = False
-    """Bound the mean of the actions by tanh, behind ReLU layers: the form of actors
-    that SAC, TD3 and BC train. Needed to start from one; without compiled gradients."""
     critic_rollouts: Annotated[int, WHOLE] = 0
     """First rollouts from which only the critic learns (critic warm-up)."""
 
@@ -94,15 +86,7 @@ class OnPolicy(Agent):
     def __init__(self, config: OnPolicyConfig, spaces: Spaces) -> None:
         self.rollout_length = config.rollout_length
         self._critic_rollouts, self._rollouts = config.critic_rollouts, 0
-        self.actor = Actor(
-            spaces.observation_dim,
-            spaces.action_dim,
-            config.actor_hidden,
-            squash=config.squash,
-            normalise=config.normalise,
-            action_scale=config.action_scale,
-        )
-        self.gaussian = BoundedGaussian(self.actor) if config.squash else self.actor
+        self.actor, self.gaussian = make_gaussian(config, spaces)
         self.critic = _critic(config, spaces, self.actor.norm)
         self.stochastic = ProbabilisticActor(
             TensorDictModule(self.gaussian, ["observation"], ["loc", "scale"]),

@@ -9,6 +9,7 @@ import json
 import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -74,6 +75,13 @@ class Policy:
         weights = dict(self.actor.state_dict())
         save_tree(folder / WEIGHTS, {"card": asdict(self.card), "weights": weights})
         write_text(folder / CARD, json.dumps(self.described, indent=2) + "\n")
+
+    def digest(self) -> str:
+        """64 hexadecimal digits that identify the weights (SHA-256)."""
+        digest = sha256()
+        for name, weight in sorted(self.actor.state_dict().items()):
+            digest.update(name.encode() + weight.contiguous().numpy().tobytes())
+        return digest.hexdigest()
 
 
 def _image(value: Any, part: ObservationPart) -> Tensor:

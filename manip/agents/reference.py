@@ -10,17 +10,17 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
-from manip.agents.agent import Agent, AgentConfig, Spaces
-from manip.agents.bounded_gaussian import BoundedGaussian
+from manip.agents.agent import Agent, Spaces
+from manip.agents.gaussian_actor import GaussianActorConfig, make_gaussian
 from manip.agents.networks import Actor
 from manip.agents.on_policy import RolloutPolicy
 from manip.agents.policy import load_policy
 from manip.errors import UserError
-from manip.io.option_ranges import COUNT, NUMBER, POSITIVE, Range
+from manip.io.option_ranges import COUNT, NUMBER, POSITIVE
 
 
 @dataclass(frozen=True)
-class FineTuningConfig(AgentConfig):
+class FineTuningConfig(GaussianActorConfig):
     """Options of algorithms that change a reference by supervised learning."""
 
     reference: str | None = None
@@ -34,14 +34,6 @@ class FineTuningConfig(AgentConfig):
     """Control steps of each environment in a rollout."""
     learning_rate: Annotated[float, NUMBER] = 3e-4
     """Adam's step size."""
-    actor_hidden: Annotated[tuple[int, ...], COUNT] = (128, 128)
-    """Widths of the actor's hidden layers."""
-    normalise: bool = True
-    """Normalise observations by the reference's statistics."""
-    action_scale: Annotated[tuple[float, ...], Range(1e-6, 1)] = ()
-    """Fraction of each action dimension's range that is used; 1 unless given."""
-    squash: bool = False
-    """Bound the mean of the actions by tanh, behind ReLU layers."""
 
 
 class FineTuning(Agent):
@@ -59,15 +51,7 @@ class FineTuning(Agent):
         self, config: FineTuningConfig, spaces: Spaces, threads: int = 1
     ) -> None:
         self.rollout_length = config.rollout_length
-        self.actor = Actor(
-            spaces.observation_dim,
-            spaces.action_dim,
-            config.actor_hidden,
-            squash=config.squash,
-            normalise=config.normalise,
-            action_scale=config.action_scale,
-        )
-        self.gaussian = BoundedGaussian(self.actor) if config.squash else self.actor
+        self.actor, self.gaussian = make_gaussian(config, spaces)
         if config.reference is not None:
             start_from_reference(self, config.reference, config.reference_std)
         self.reference = deepcopy(self.gaussian)

@@ -24,7 +24,13 @@ from manip.envs.perturbation import Perturbations
 from manip.envs.task import Task
 from manip.envs.task_batch import TaskBatch
 from manip.evaluation.episode_details import DetailTracker
-from manip.evaluation.episodes import Episode, Penalty, Policy, run_episodes
+from manip.evaluation.episodes import (
+    Callback,
+    Episode,
+    Penalty,
+    Policy,
+    run_episodes,
+)
 from manip.looks import Looks
 from manip.observation import check_observation
 from manip.robot_config import RobotConfig
@@ -158,9 +164,16 @@ def make_env(
 
 
 def run_settings(
-    env: TaskEnv, policy: Policy | ActsInBatch, settings: EpisodeSettings, episodes: int
+    env: TaskEnv,
+    policy: Policy | ActsInBatch,
+    settings: EpisodeSettings,
+    episodes: int,
+    callback: Callback | None = None,
 ) -> list[Episode]:
-    """Run episodes; penalties and details are recorded if the settings say so."""
+    """Run episodes; penalties and details are recorded if the settings say so.
+
+    The callback is called with the state before every step.
+    """
     if isinstance(policy, ActsInBatch):
         policy = policy.acting_in(env.batch)
     penalty: Penalty | None = None
@@ -168,7 +181,7 @@ def run_settings(
         names = env.batch.measure_names
         penalty = partial(settings.taste.penalties, names=names)
     details = DetailTracker(env) if settings.details else None
-    return run_episodes(env, policy, episodes, penalty=penalty, details=details)
+    return run_episodes(env, policy, episodes, callback, penalty, details)
 
 
 def _stock_episodes(

@@ -18,6 +18,7 @@ PROGRAMS = {
     "evaluate": "measure a policy's success, in stock robosuite or natively",
     "export": "write a policy as ONNX, TorchScript or numpy arrays",
     "render": "make a video of a policy",
+    "report": "write a page about runs, with 3-D replays of their episodes",
     "reproduce": "rerun shipped recipes and compare with their results",
     "results": "show the results of the shipped recipes",
     "replay": "repeat a control step whose numbers were not finite",

@@ -83,6 +83,7 @@ def main(arguments: Sequence[str]) -> int:
             progress.say(f"manip: {task.notice}")
         result = train(config, callback=progress, place=place)
         if result.finished:
+            progress.say(f"a page about it: manip report {config.folder}")
             progress.say(f"trained policy: {result.policy}")
     if result.waiting:
         return WAITING

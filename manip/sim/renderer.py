@@ -25,7 +25,8 @@ _LOOK_AT = {WORKSPACE: ((-0.16, 0.0, 1.08), 1.45), CLOSEUP: ((0.0, 0.0, 0.99), 0
 """Camera -> the point it looks at and its distance [m], for robosuite's table at
 (0, 0, 0.8) m and a base at x = -0.56 m."""
 
-_VISUAL_GROUP = 1  # robosuite's groups: 0 collision, 1 visual, 2 mouse targets
+VISUAL_GROUP = 1
+"""Group of the geoms that are drawn; robosuite: 0 collision, 1 visual, 2 mouse."""
 
 
 def camera_names(model: mujoco.MjModel) -> tuple[str, ...]:
@@ -124,7 +125,7 @@ def _draw(
 def _visual_only() -> mujoco.MjvOption:
     options = mujoco.MjvOption()
     options.geomgroup[:] = 0
-    options.geomgroup[_VISUAL_GROUP] = 1
+    options.geomgroup[VISUAL_GROUP] = 1
     return options
 
 

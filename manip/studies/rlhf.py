@@ -15,14 +15,13 @@ from manip.training.config import TrainConfig
 
 
 @dataclass(frozen=True)
-class PreferenceRow:
-    """The score of a policy.
+class PreferenceRun:
+    """A run of the study, up to the end of a stage.
 
     Attributes:
         task, taste: what it was trained for.
-        variant, seed, env_steps: of its run.
-        labels: comparisons that its run was to learn from; 0 without any.
-        episodes, success_held, ...: see `PolicyScore`.
+        variant, seed, env_steps: of the run.
+        labels: comparisons that it was to learn from; 0 without any.
     """
 
     task: str
@@ -31,13 +30,11 @@ class PreferenceRow:
     seed: int
     env_steps: int
     labels: int
-    episodes: int
-    success_held: float
-    reward: float
-    penalty: float
-    utility: float
-    learned: float | None
-    divergence: float
+
+
+@dataclass(frozen=True)
+class PreferenceRow(PolicyScore, PreferenceRun):
+    """The score of a run's policy: the run's columns, then the score's."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from manip.agents.policy_card import CAMERAS, Observe
 from manip.envs.task_registry import task_names
 from manip.io.dataclass_values import build
 from manip.io.yaml_files import read_yaml
-from manip.training.config import SCALE, TrainConfig, from_dict
+from manip.training.config import NESTED, SCALE, TrainConfig, from_dict
 
 
 def recipe_names() -> list[str]:
@@ -72,11 +72,16 @@ def recipe(
 def with_labels(config: TrainConfig, folder: Path) -> TrainConfig:
     """Return the options of a run that learns from preferences in a folder.
 
-    Those of its algorithm in the recipe `preferences` replace the options given.
+    Those of its algorithm in the recipe `preferences` replace the options given; a task
+    may have others, under `tasks`.
     """
     values = dict(_shipped("preferences").get(config.algo, {}))
-    labels = replace(config.labels, **values.pop("labels", {}))
-    changes = values.pop("agent", {})
+    own = values.pop("tasks", {}).get(config.task, {})
+    for group in NESTED:
+        values[group] = values.get(group, {}) | own.get(group, {})
+    values |= {name: v for name, v in own.items() if name not in NESTED}
+    labels = replace(config.labels, **values.pop("labels"))
+    changes = values.pop("agent")
     if config.controller != "OSC_POSE":  # its action_scale is for that one
         changes = {name: v for name, v in changes.items() if name != SCALE}
     agent = build(type(config.agent), asdict(config.agent) | changes)

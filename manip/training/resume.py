@@ -23,6 +23,7 @@ def checkpoint_of(
     return {
         **state_of(parts.agent, parts.collector, config.save_buffer),
         "config": lasting(config),
+        "teacher": parts.teacher,
         "versions": versions(),
         "progress": state.to_dict(),
     }
@@ -36,6 +37,7 @@ def resume(config: TrainConfig, parts: RunParts, checkpoints: Checkpoints) -> Ru
     """
     saved = checkpoints.load()
     _check_options(saved, config)
+    _check_teacher(saved, config, parts)
     env = parts.evaluator.env
     ResumeCheck(config, env, parts.agent, parts.collector)(saved)
     state = _run_state(saved, parts)
@@ -54,6 +56,15 @@ def _check_options(saved: dict[str, Any], config: TrainConfig) -> None:
         if not isinstance(saved.get(name), dict):
             raise UserError(f"the checkpoint in {config.folder} is damaged: no {name}")
     check_lasting(saved["config"], config)
+
+
+def _check_teacher(saved: dict[str, Any], config: TrainConfig, parts: RunParts) -> None:
+    """Refuse another teacher; older checkpoints do not say which one they had."""
+    if saved.get("teacher", parts.teacher) != parts.teacher:
+        raise UserError(
+            f"the teacher {config.teacher} has other weights than when the run was "
+            "saved: restore its folder, or start another run with another --out"
+        )
 
 
 def _run_state(saved: dict[str, Any], parts: RunParts) -> RunState:

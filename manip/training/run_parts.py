@@ -22,6 +22,7 @@ from manip.training.preferences import (
     with_preferences,
     with_taste,
 )
+from manip.training.teacher import teacher_digest
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ class RunParts:
         guard: checks the agent's gradients and losses.
         averages: recent training averages.
         faults: reports what went wrong in environments and updates.
+        teacher: digest of the weights of the policy that is imitated; empty if none.
         notes: lines that the run prints when it starts.
     """
 
@@ -46,6 +48,7 @@ class RunParts:
     guard: NanGuard
     averages: TrainingAverages
     faults: FaultReport
+    teacher: str
     notes: tuple[str, ...] = ()
 
     def messages(self) -> Iterator[str]:
@@ -103,6 +106,7 @@ def build_parts(
         guard=guard,
         averages=TrainingAverages(milestones, weights),
         faults=FaultReport(envs, guard),
+        teacher=teacher_digest(config),
         notes=tuple(notes),
     )
 

@@ -44,6 +44,11 @@ def expert_of(config: TrainConfig, batch: TaskBatch) -> Policy | bool:
     return fitting_policy(config.teacher, config, batch)
 
 
+def teacher_digest(config: TrainConfig) -> str:
+    """Identify the weights of a run's teacher; empty without one."""
+    return load_policy(config.teacher).digest() if config.teacher else ""
+
+
 def fitting_policy(where: str, config: TrainConfig, batch: TaskBatch) -> Policy:
     """Load a policy that has a run's observations and actions.
 
