@@ -10,12 +10,14 @@ from typing import Any
 
 import pytest
 import torch
+from sameness import assert_same
 from training_runs import (
     AGENTS,
     OFTEN,
     ROLLOUT,
     assert_equal_runs,
     assert_tensorboard_holds,
+    choices,
     contents,
     copy_of,
     finished,
@@ -64,9 +66,7 @@ def test_a_finished_run_can_be_prolonged(tmp_path: Path) -> None:
     assert new_trainer(short).run()
     assert new_trainer(replace(short, steps=512, resume=True)).run()
     whole = finished("ppo").folder
-    for folder in (whole, short.folder):
-        assert (folder / "policy/policy.safetensors").is_file()
-    assert_same(*(without_rows(folder) for folder in (whole, short.folder)))
+    assert_same(without_rows(whole), without_rows(short.folder))
     assert choices(short.folder)[-1]["eval/return"] == choices(whole)[-1]["eval/return"]
 
 
