@@ -14,7 +14,7 @@ is a truncation, and so is a simulation that diverges.
 Options of both functions; docs/gymnasium.md explains them:
 
     robot             arm name, or RobotConfig(arm, controller, control_freq)
-    backend           "native" (the batch engine) or "stock" (robosuite: one environment)
+    backend           "native", or "stock" (robosuite, one environment)
     reward            reward set: "shaped" or "stock"
     reward_weights    {term: weight} that replace those of the set
     max_episode_steps length of an episode [control steps]; the task's own by default
