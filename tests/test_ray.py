@@ -183,9 +183,9 @@ def test_a_run_does_not_depend_on_ray(algo: str, cluster: Any, tmp_path: Path) -
 @pytest.mark.slow
 @pytest.mark.parametrize("algo", ["ppo", "sac"])
 def test_a_collector_that_dies_is_replaced(
-    algo: str, cluster: Any, tmp_path: Path
+    algo: str, cluster: Any, tmp_path: Path, capfd
 ) -> None:
-    """One of two, with its node; a third node takes its place."""
+    """One of three, with its node; another node takes its place."""
     nodes, messages = [cluster.add_node(num_cpus=1) for _ in range(2)], []
     options = {"collectors": 3, "num_envs": 6, "steps": 768}
     assert train(tiny(algo, tmp_path / "here", **options)).finished
@@ -203,6 +203,7 @@ def test_a_collector_that_dies_is_replaced(
     (message,) = [line for line in messages if "was lost" in line]
     assert "is replaced" in message
     assert "\n" not in message
+    assert "worker" not in "".join(capfd.readouterr())  # Ray's own paragraphs
 
 
 @pytest.mark.slow

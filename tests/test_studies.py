@@ -221,6 +221,7 @@ def test_a_damaged_table_is_refused(
             ("variance", "bias"),
         ),
         ("clipping", ["--steps", "4096"], 2 * 6, ("clipping",)),
+        ("asynchrony", ["--steps", "1600"], 2 * 3, ("asynchrony",)),
     ],
 )
 def test_a_study_writes_a_table_and_figures(

@@ -1,6 +1,7 @@
 """Join a Ray cluster, where the package is installed and a cluster runs."""
 
 import logging
+from contextlib import suppress
 from typing import Any
 
 from manip.errors import UserError, one_line
@@ -32,4 +33,16 @@ def connected(address: str) -> Any:
             f"there is no Ray cluster at {address} ({one_line(error)}): start one with "
             "`ray start --head`, or name its address as host:port"
         ) from error
+    _print_no_paragraphs()
     return ray
+
+
+def _print_no_paragraphs() -> None:
+    """Keep Ray from printing a paragraph for each lost process.
+
+    Ray has no option for it. Those who lose a process say so in a line.
+    """
+    with suppress(AttributeError, ImportError):
+        from ray._private.ray_logging import global_worker_stdstream_dispatcher
+
+        global_worker_stdstream_dispatcher.remove_handler("ray_print_logs")

@@ -15,7 +15,7 @@ from manip.cluster.remote_rollout import (
     State,
 )
 from manip.envs.adapters.torchrl import TaskEnv
-from manip.errors import UserError, one_line
+from manip.errors import UserError
 from manip.sim.robosuite_log import quiet_robosuite
 from manip.training.config import TrainConfig
 from manip.training.groups import check_elsewhere
@@ -41,14 +41,24 @@ def ray_collectors(address: str) -> Iterator[Place]:
     """
     ray = connected(address)
     try:
-        yield partial(_rollouts, ray)
+        yield partial(rollouts_on, ray)
     finally:
         ray.shutdown()
 
 
-def _rollouts(
+def rollouts_on(
     ray: Any, config: TrainConfig, envs: Sequence[TaskEnv]
 ) -> list[RemoteRollout]:
+    """Have the groups of a run's environments stepped by actors.
+
+    Args:
+        ray: the package, after `manip.cluster.ray_cluster.connected`.
+        config: options of the run.
+        envs: its groups of environments, for their shapes.
+
+    Raises:
+        UserError: the run cannot be split, or the cluster has too few CPUs.
+    """
     check_elsewhere(config, "--ray")
     _check_room(ray, len(envs))
     shared = SharedWeights(ray.put)
@@ -117,7 +127,7 @@ class _Collector:
                 "no free CPU (see `ray status`)"
             ) from error
         except errors.RayError as error:
-            raise LostError(one_line(error)) from error
+            raise LostError(str(error).splitlines()[0]) from error
 
 
 class _Actor:

@@ -40,6 +40,7 @@ class RayExecutor:
     def __init__(self, address: str, folder: Path, logs: Path | None = None) -> None:
         self._ray = connected(address)
         self._folder, self._logs = folder, logs
+        self._begun: set[str] = set()
 
     def __call__(self, jobs: Sequence[Job], watch: Watch, stop: Event) -> None:
         """Run the jobs; returns when all have ended or, after `stop`, are saved."""
@@ -63,10 +64,12 @@ class RayExecutor:
             done, _ = self._ray.wait([*tasks], timeout=POLL)
             self._pass_on(head, by_name, watch)
             for task in done:
+                job = tasks.pop(task)
                 outcome = self._outcome(task)
+                if outcome is None and job.name in self._begun:
+                    outcome = Outcome("stopped")  # its node was lost on the way
                 if outcome:
-                    watch.ended(tasks[task], outcome)
-                del tasks[task]
+                    watch.ended(job, outcome)
 
     def _start_head(self, folders: dict[str, Path]) -> Any:
         """An actor beside this process, which all tasks can call."""
@@ -93,15 +96,16 @@ class RayExecutor:
     def _pass_on(self, head: Any, jobs: dict[str, Job], watch: Watch) -> None:
         for name, report in self._ray.get(head.take.remote()):
             if report is None:
+                self._begun.add(name)
                 watch.started(jobs[name])
                 continue
             append_lines(log_of(jobs[name], self._logs), report.messages)
             watch.reported(jobs[name], report)
 
     def _outcome(self, task: Any) -> Outcome | None:
-        """How a task ended; None if it never began."""
+        """How a task ended; None if it was to stop before it began, here or anew."""
         try:
-            outcome: Outcome = self._ray.get(task)
+            outcome: Outcome | None = self._ray.get(task)
         except self._ray.exceptions.TaskCancelledError:
             return None
         except self._ray.exceptions.RayError as error:

@@ -30,18 +30,21 @@ LAST = ("checkpoints", "result.json")
 checkpoint that is older than its other files, as after a kill, and no result."""
 
 
-def run_on_node(job: Job, head: Any, setup: Setup) -> Outcome:
+def run_on_node(job: Job, head: Any, setup: Setup) -> Outcome | None:
     """Run a job on this node, with its files where the sweep can read them.
 
     Args:
         job: what to run.
         head: the actor of `Head`.
         setup: of the sweep's machine.
+
+    Returns:
+        how it ended; None if the sweep was stopped before.
     """
     if different := differences(setup.versions):
         return Outcome("failed", error=different)
     if not ray.get(head.begin.remote(job.name)):
-        return Outcome("stopped")
+        return None
     quiet_robosuite()
     torch.set_num_threads(1)
     if _shares(setup):

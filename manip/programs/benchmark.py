@@ -28,7 +28,10 @@ class Benchmark:
     env: TorchRL and Gymnasium environments and a collect loop with a policy, as a
     fraction of the engine's speed.
 
-    collectors: PPO's rollouts, with and without being copied between processes.
+    collectors: PPO's rollouts in this process, and in another one on Ray.
+
+    machines: PPO and SAC with up to 64 collectors, which wait instead of simulating,
+    against the model of docs/scaling.md.
 
     startup: seconds to the first control step, with cold and warm compile cache.
 
@@ -51,6 +54,7 @@ class Benchmark:
             "cameras",
             "env",
             "collectors",
+            "machines",
             "startup",
             "scaling",
             "learner",

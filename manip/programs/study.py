@@ -23,6 +23,7 @@ from manip.studies.gradients import GradientRow, GradientStudy, measure
 from manip.studies.learning import (
     Evaluation,
     algorithm_variants,
+    asynchrony_variants,
     clipping_variants,
     evaluations,
 )
@@ -63,6 +64,9 @@ class Study:
 
     clipping: PPO's epochs with and without clipping.
 
+    asynchrony: A3C with workers in turns and asynchronous, the latter twice with the
+    same seeds.
+
     algorithms: all algorithms, success against control steps and computing time.
 
     rlhf: learning from preferences, with simulated labellers: methods at equal labels,
@@ -70,7 +74,8 @@ class Study:
     """
 
     what: Annotated[
-        Literal["gradients", "clipping", "algorithms", "rlhf"], tyro.conf.Positional
+        Literal["gradients", "clipping", "asynchrony", "algorithms", "rlhf"],
+        tyro.conf.Positional,
     ]
     """Study to run."""
     tasks: tuple[str, ...] = ()
@@ -177,6 +182,11 @@ def _clipping(options: Study) -> list[Evaluation]:
     return _evaluations(options, variants)
 
 
+def _asynchrony(options: Study) -> list[Evaluation]:
+    variants = asynchrony_variants(options.tasks[0], options.steps)
+    return _evaluations(options, variants)
+
+
 def _algorithms(options: Study) -> list[Evaluation]:
     variants = [
         algorithm_variants(task, options.algos, options.steps) for task in options.tasks
@@ -213,6 +223,10 @@ STUDIES: dict[str, tuple[Measure, Figures]] = {
         },
     ),
     "clipping": (_clipping, lambda _: {"clipping": learning_figures.draw_clipping}),
+    "asynchrony": (
+        _asynchrony,
+        lambda _: {"asynchrony": learning_figures.draw_algorithms},
+    ),
     "algorithms": (
         _algorithms,
         lambda _: {"algorithms": learning_figures.draw_algorithms},

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from manip.agents.a3c import A3CConfig
 from manip.agents.ppo import PPOConfig
 from manip.cluster.executors import finish_runs
 from manip.errors import UserError
@@ -62,6 +63,14 @@ def clipping_variants(task: str, steps: int | None) -> dict[str, TrainConfig]:
 def _name(epochs: int, clip: float | None) -> str:
     noun = "epoch" if epochs == 1 else "epochs"
     return f"{epochs} {noun}, " + (f"clip {clip}" if clip else "no clip")
+
+
+def asynchrony_variants(task: str, steps: int | None) -> dict[str, TrainConfig]:
+    """A3C in turns, and asynchronous twice: with the same seeds, it differs."""
+    turns = _with_evaluations(recipe(task, "a3c"), steps)
+    assert isinstance(turns.agent, A3CConfig)
+    free = replace(turns, agent=replace(turns.agent, asynchronous=True))
+    return {"in turns": turns, "asynchronous": free, "asynchronous again": free}
 
 
 def algorithm_variants(
