@@ -27,6 +27,7 @@ PROGRAMS = {
     "benchmark": "measure speed",
     "sweep": "train every combination of options and seeds",
     "aggregate": "compare the runs of sweeps, with intervals over seeds",
+    "compare": "learning curves, options and success of runs side by side",
     "study": "compare algorithms and their options",
 }
 """Program -> its purpose; each is the module of its name in `manip.programs`."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from manip.evaluation.episodes import Episode
+from manip.evaluation.report import SUCCESS
 
 RECENT_EPISODES = 100
 """Finished training episodes that are averaged over."""
@@ -40,12 +41,16 @@ class TrainingAverages:
         milestones = np.mean([episode.milestones for episode in self.episodes], axis=0)
         return {
             "train/return": float(np.mean([e.total_reward for e in self.episodes])),
-            "train/success": float(np.mean([e.success_at_end for e in self.episodes])),
+            **{f"train/{kind}": self._share(kind) for kind in SUCCESS},
             **{
                 f"train/{name}": float(share)
                 for name, share in zip(self._milestones, milestones, strict=True)
             },
         }
+
+    def _share(self, kind: str) -> float:
+        """Share of the episodes with a kind of success."""
+        return float(np.mean([getattr(e, kind) for e in self.episodes]))
 
     def _of_terms(self) -> dict[str, float]:
         """Mean contribution of each term to a step's reward: weight * term."""

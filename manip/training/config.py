@@ -21,7 +21,7 @@ Controller = Literal["OSC_POSE", "OSC_POSITION", "JOINT_POSITION", "JOINT_VELOCI
 
 MAY_CHANGE = {
     *("out", "resume", "steps", "threads", "wandb"),
-    *("eval_every", "eval_episodes", "checkpoint_every", "faults"),
+    *("eval_every", "eval_episodes", "curve_episodes", "checkpoint_every", "faults"),
     *("save_buffer", "preferences"),
 }
 """Options that may change when a run is resumed; the others made it what it is."""
@@ -128,6 +128,10 @@ class TrainConfig:
     """Control steps between evaluations of the policy; the best one is saved."""
     eval_episodes: Annotated[int, COUNT] = 32
     """Episodes per evaluation: more choose the best policy better, and take longer."""
+    curve_episodes: Annotated[int, Range(0, 10_000)] = 8
+    """Episodes of a light evaluation for the learning curve, in the physics and with
+    the length of training episodes, in each tenth of the run that has no other
+    evaluation; 0 for none. They choose no policy and do not change the run."""
     faults: Literal["survive", "stop"] = "survive"
     """A number that is not finite ends an episode or skips an update (survive), or
     ends the run (stop)."""
