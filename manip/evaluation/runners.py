@@ -163,6 +163,11 @@ def make_env(
     return TaskEnv(batch, measures=settings.taste is not None, motion=motion)
 
 
+def acting(policy: Policy | ActsInBatch, batch: TaskBatch) -> Policy:
+    """The policy for a batch whose next episodes are about to begin."""
+    return policy.acting_in(batch) if isinstance(policy, ActsInBatch) else policy
+
+
 def run_settings(
     env: TaskEnv,
     policy: Policy | ActsInBatch,
@@ -174,8 +179,7 @@ def run_settings(
 
     The callback is called with the state before every step.
     """
-    if isinstance(policy, ActsInBatch):
-        policy = policy.acting_in(env.batch)
+    policy = acting(policy, env.batch)
     penalty: Penalty | None = None
     if settings.taste:
         names = env.batch.measure_names

@@ -17,6 +17,7 @@ PROGRAMS = {
     "reward": "learn a reward from comparisons, and show what it pays for",
     "evaluate": "measure a policy's success, in stock robosuite or natively",
     "export": "write a policy as ONNX, TorchScript or numpy arrays",
+    "record": "record episodes as a LeRobot, robomimic or Minari data set",
     "render": "make a video of a policy",
     "report": "write a page about runs, with 3-D replays of their episodes",
     "reproduce": "rerun shipped recipes and compare with their results",
