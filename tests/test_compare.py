@@ -157,7 +157,7 @@ def test_several_seeds_train_in_ordinary_run_folders(
     assert [run.folder.name for run in group.runs] == ["seed3", "seed5"]
     assert [run.seed for run in group.runs] == [3, 5]
     rows = read_metrics(tmp_path / "runs" / "seed3" / "metrics.csv")
-    assert [row["env_steps"] for row in rows] == ["32", "64"]
+    assert {"32", "64"} <= {row["env_steps"] for row in rows}
 
 
 @pytest.mark.parametrize(

@@ -59,9 +59,9 @@ def test_the_callback_gets_a_report_after_every_rollout(tmp_path: Path) -> None:
     assert steps == sorted(steps)
     assert set(steps) == set(range(64, 513, 64))
     messages = [message for report in reports for message in report.messages]
-    choosing = [m for m in messages if m.startswith("step") and "(8" not in m]
+    choosing = [m for m in messages if m.startswith("step") and "(4" not in m]
     assert [m.split()[1] for m in choosing] == ["192", "384", "512"]
-    assert any("(8 episodes)" in message for message in messages)
+    assert any("(4 episodes)" in message for message in messages)
     assert messages[-1].startswith("checkpoint:")
     assert {report.total_steps for report in reports} == {512}
     assert "train/return" in reports[-1].averages

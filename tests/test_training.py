@@ -50,7 +50,12 @@ def test_a_run_leaves_config_metrics_events_checkpoint_and_policy(algo: str) -> 
 def test_metrics_have_a_row_for_every_rollout_and_evaluation(algo) -> None:
     rows = read_metrics(finished(algo).folder / "metrics.csv")
     length = ROLLOUT[algo]
-    assert [int(row["env_steps"]) for row in rows] == list(range(length, 513, length))
+    steps = [int(row["env_steps"]) for row in rows]
+    assert steps == sorted(set(steps))
+    assert set(steps) >= set(range(length, 513, length))
+    assert len(rows) >= 100 or algo == "a3c"
+    whole = [row for row in rows if any(row[n] for n in row if "train/reward/" in n)]
+    assert {int(row["env_steps"]) % length for row in whole} == {0}
     every = [str(-(-due // length) * length) for due in (192, 384, 512)]
     assert [row["env_steps"] for row in choices(finished(algo).folder)] == every
     light = {row["env_steps"] for row in rows if row["curve/return"]}

@@ -35,9 +35,12 @@ class TrainingAverages:
 
     def values(self) -> dict[str, float]:
         """Column name -> average; empty before the first episode has finished."""
-        return self._of_episodes() | self._of_terms() if self.episodes else {}
+        return self.of_episodes() | self._of_terms() if self.episodes else {}
 
-    def _of_episodes(self) -> dict[str, float]:
+    def of_episodes(self) -> dict[str, float]:
+        """The columns of episodes alone; empty before the first has finished."""
+        if not self.episodes:
+            return {}
         milestones = np.mean([episode.milestones for episode in self.episodes], axis=0)
         return {
             "train/return": float(np.mean([e.total_reward for e in self.episodes])),

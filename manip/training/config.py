@@ -132,7 +132,7 @@ class TrainConfig:
     """Control steps between evaluations of the policy; the best one is saved."""
     eval_episodes: Annotated[int, COUNT] = 32
     """Episodes per evaluation: more choose the best policy better, and take longer."""
-    curve_episodes: Annotated[int, Range(0, 10_000)] = 8
+    curve_episodes: Annotated[int, Range(0, 10_000)] = 4
     """Episodes of a light evaluation for the learning curve, in the physics and with
     the length of training episodes, in each tenth of the run that has no other
     evaluation; 0 for none. They choose no policy and do not change the run."""

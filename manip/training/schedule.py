@@ -3,8 +3,17 @@
 ROWS = 1_000
 """Rows of metrics.csv that a run has at most, besides those of its evaluations."""
 
+LEAST_ROWS = 100
+"""Rows that a run of few rollouts has at least: those within a rollout have the results
+of its episodes only."""
+
 PARTS = 10
 """Equal parts of a run, each of which has an evaluation at least."""
+
+
+def rows_in(rollout: int, steps: int) -> int:
+    """Rows of a rollout of so many control steps, the one at its end included."""
+    return -(-LEAST_ROWS * rollout // steps)
 
 
 def row_due(before: int, now: int, steps: int) -> bool:

@@ -11,6 +11,7 @@ from manip.rewards.reward_function import RewardFunction
 from manip.training.checkpoint import Checkpoints, SaveTimer, bytes_of
 from manip.training.config import TrainConfig, to_dict
 from manip.training.evaluator import PolicyEvaluation
+from manip.training.experience import Experience, by_time
 from manip.training.lifecycle import SignalHandler, locked
 from manip.training.progress import Callback, Progress
 from manip.training.resume import checkpoint_of, resume
@@ -18,7 +19,7 @@ from manip.training.run_folder import check_run_folder, prepare
 from manip.training.run_logs import RunLog, check_wandb
 from manip.training.run_parts import Place, build_parts, here
 from manip.training.run_state import RunState
-from manip.training.schedule import curve_due, next_choice, row_due
+from manip.training.schedule import curve_due, next_choice, row_due, rows_in
 
 
 class Trainer:
@@ -145,11 +146,22 @@ class Trainer:
     def _advance(self) -> None:
         """Collect one rollout and learn from it."""
         experience = self.parts.collector.next()
-        self.state.env_steps += experience.steps
-        self.parts.averages.add(experience.episodes, experience.reward_terms)
+        self._add(experience)
         self._set_learning_rates()
         learned = self.parts.agent.update(experience.batch)
         self.state.learned |= self.parts.guard.finite(learned)
+
+    def _add(self, experience: Experience) -> None:
+        """Add a rollout to counters and averages; log rows within it in short runs."""
+        averages, begun = self.parts.averages, self.state.env_steps
+        parts = rows_in(experience.steps, self.config.steps)
+        *earlier, (_, episodes) = by_time(experience, parts)
+        for steps, ended in earlier:
+            averages.episodes.extend(ended)
+            clocks = self._clocks(begun + steps)
+            self._write_row(clocks | averages.of_episodes())
+        averages.add(episodes, experience.reward_terms)
+        self.state.env_steps += experience.steps
 
     def _set_learning_rates(self) -> None:
         """Let learning rates fall linearly to zero over the last `cool_down` share."""
@@ -182,18 +194,25 @@ class Trainer:
         self._report(evaluation.line(self.state.seconds), *words)
 
     def _log_row(self, evaluation: dict[str, float]) -> None:
-        state = self.state
-        row = {
-            "env_steps": state.env_steps,
-            "seconds": state.seconds,
-            "cpu_seconds": state.cpu_seconds,
+        learned = self.state.learned.items()
+        self._write_row(
+            self._clocks(self.state.env_steps)
+            | self.parts.averages.values()
+            | evaluation
+            | {f"learn/{name}": value for name, value in learned}
+        )
+
+    def _clocks(self, env_steps: int) -> dict[str, float]:
+        return {
+            "env_steps": env_steps,
+            "seconds": self.state.seconds,
+            "cpu_seconds": self.state.cpu_seconds,
             "steps_per_second": self._speed(),
             "faults": self.parts.faults.count(),
-            **self.parts.averages.values(),
-            **evaluation,
-            **{f"learn/{name}": value for name, value in state.learned.items()},
         }
-        state.rows.append(row)
+
+    def _write_row(self, row: dict[str, float]) -> None:
+        self.state.rows.append(row)
         self._log.write(row)
 
     def _save(self, best: bool = False) -> None:
