@@ -30,6 +30,7 @@ from manip.training.terminal import TerminalProgress
 
 _TEXT_OPTIONS = {
     *("--task", "--algo", "--robot", "--out", "--wandb", "--init", "--teacher"),
+    "--dataset",
     *("--agent.reference", "--preferences", "--labels.taste", "--ray"),
 }
 """Options whose value is text and must not be rewritten as a number."""

@@ -91,6 +91,10 @@ class TrainConfig:
     teacher: str | None = None
     """Policy that `--algo bc` imitates instead of the task's expert: a run folder, a
     policy folder or the name of a shipped policy. It sees the whole observation."""
+    dataset: str | None = None
+    """Data set of recorded episodes: a robomimic file, or a LeRobot or Minari folder
+    (docs/datasets.md). `--algo bc` imitates it, without an expert or a simulation;
+    `--algo sac` takes half of each batch from it."""
     horizon: Annotated[int | None, COUNT] = None
     """Length of a training episode [control steps]; the task's own unless given."""
     control_freq: Annotated[int, COUNT] = 20
