@@ -19,15 +19,18 @@ PROGRAMS = {
     "export": "write a policy as ONNX, TorchScript or numpy arrays",
     "record": "record episodes as a LeRobot, robomimic or Minari data set",
     "render": "make a video of a policy",
+    "view": "watch a policy in a window",
     "report": "write a page about runs, with 3-D replays of their episodes",
     "reproduce": "rerun shipped recipes and compare with their results",
     "results": "show the results of the shipped recipes",
     "replay": "repeat a control step whose numbers were not finite",
+    "check": "check a task of your own before training",
     "list": "list tasks, robots, algorithms, recipes, policies, tastes",
     "doctor": "check that this machine can run manip",
     "benchmark": "measure speed",
     "sweep": "train every combination of options and seeds",
     "aggregate": "compare the runs of sweeps, with intervals over seeds",
+    "compare": "learning curves, options and success of runs side by side",
     "study": "compare algorithms and their options",
 }
 """Program -> its purpose; each is the module of its name in `manip.programs`."""

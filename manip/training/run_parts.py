@@ -88,7 +88,7 @@ def build_parts(
     check_preferences(config)
     check_dataset(config)
     envs = training_envs(config)
-    evaluator = Evaluator(config)
+    evaluator = Evaluator(config, envs[0].batch)
     check_memory(config, spaces_of(config, evaluator.env))
     agent = build_agent(config, evaluator.env)
     notes = [*start_agent(config, agent, evaluator.env), *_gradient_notes(config)]
