@@ -57,7 +57,7 @@ test-slow: setup ## Run the slow tests
 	$(BIN)/python -m pytest -m slow $(PARALLEL)
 
 # Not in the lock, as for the peers. The browser is the machine's own Chromium or Chrome.
-test-browser: setup ## Test the labelling page in Chromium, which must be installed
+test-browser: setup ## Test the pages in Chromium, which must be installed
 	$(PIP) install --quiet --constraint requirements.lock playwright
 	$(BIN)/python -m pytest -m browser
 

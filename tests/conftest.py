@@ -1,8 +1,10 @@
 """Tasks and compiled scenes, each built once, because robosuite takes 0.5 to 2 s."""
 
 import os
+import shutil
 import sys
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import pytest
 import torch
@@ -13,6 +15,9 @@ from manip.envs.task_registry import load_task
 from manip.robot_config import RobotConfig
 from manip.sim.robosuite_factory import make_stock
 from manip.sim.scene import Fidelity, Scene, build_scene
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 torch.set_num_threads(1)
 
@@ -108,3 +113,27 @@ def lift_scene(scene_of: SceneOf, lift: Task) -> Scene:
 @pytest.fixture(scope="session")
 def reach_scene(scene_of: SceneOf, reach: Task) -> Scene:
     return scene_of(reach)
+
+
+CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "chrome")
+ARGUMENTS = (
+    *("--no-sandbox", "--disable-background-networking"),
+    "--enable-unsafe-swiftshader",  # WebGL without a GPU
+)
+
+
+@pytest.fixture(scope="module")
+def browser() -> "Iterator[Browser]":
+    """The machine's Chromium, without a window."""
+    from playwright.sync_api import sync_playwright
+
+    path = next(filter(None, map(shutil.which, CHROMIUM)), None)
+    if path is None:
+        pytest.fail(
+            f"no browser: none of {', '.join(CHROMIUM)} is installed "
+            "(Debian: `apt-get install chromium`)"
+        )
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=[*ARGUMENTS])
+        yield browser
+        browser.close()

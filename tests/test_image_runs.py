@@ -119,6 +119,13 @@ def test_a_run_from_cameras_resumes_bit_for_bit_and_its_policy_is_usable(
         new_trainer(replace(again, resume=True)).run()
 
 
+def test_the_best_policy_is_chosen_by_images_as_in_training(tmp_path: Path) -> None:
+    env = evaluation_env(options(tmp_path, looks=1.0))
+    env.reset()
+    assert env.batch.cameras.quality == "lean"
+    assert env.batch._looks.seeds.all()  # without looks they are 0
+
+
 def test_a_teacher_labels_every_state_with_its_own_action(tmp_path: Path) -> None:
     teacher = teacher_in(tmp_path / "teacher")
     (env,) = training_envs(state_options(tmp_path))

@@ -19,10 +19,10 @@ TOWER = (
     {"sim"},
     {"envs"},
     {"agents", "evaluation", "tasks"},
-    {"preferences"},
+    {"data", "preferences"},
     {"training"},
     {"cluster"},
-    {"benchmarks", "studies"},
+    {"benchmarks", "reports", "studies"},
     {"programs"},
 )
 """Rooms of manip from the bottom up; rooms of one floor do not import each other."""
@@ -38,11 +38,16 @@ HOME = {
     "dm_control": ("manip/sim/external/dm_control_sim.py",),
     "tyro": ("manip/programs",),
     "flask": ("manip/preferences/page",),
+    "jinja2": ("manip/reports",),
+    "markupsafe": ("manip/reports",),
     "envpool": ("manip/benchmarks",),
     "onnx": ("manip/agents/exports.py",),
     "onnxruntime": ("manip/deploy/exported_policy.py", "manip/agents/exports.py"),
     "dm_env": ("manip/envs/adapters/dm_env.py",),
-    "gymnasium": ("manip/envs/adapters", "manip/benchmarks"),
+    "gymnasium": (
+        *("manip/envs/adapters", "manip/benchmarks"),
+        "manip/data/minari_files.py",
+    ),
     "ray": ("manip/cluster/ray_cluster.py", "manip/cluster/ray_task.py"),
     "stable_baselines3": ("manip/envs/adapters/sb3.py", "manip/benchmarks"),
 }

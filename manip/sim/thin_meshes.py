@@ -1,11 +1,9 @@
-"""Draw the arm's meshes with fewer triangles.
-
-Vertices in one cell of a grid become one vertex (vertex clustering: Rossignac and
-Borrel, 1993); triangles that lose their area are left out.
-"""
+"""Draw the arm's meshes with fewer triangles, by vertex clustering."""
 
 import mujoco
 import numpy as np
+
+from manip.sim.vertex_clusters import cluster_means, clusters, distinct_faces
 
 Array = np.ndarray
 
@@ -34,13 +32,8 @@ def _arm_meshes(model: mujoco.MjModel) -> set[int]:
 def _thin(model: mujoco.MjModel, mesh: int) -> None:
     start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     vertices = model.mesh_vert[start : start + count]
-    cells = np.floor(vertices / CELL).astype(np.int64)
-    _, cluster = np.unique(cells, axis=0, return_inverse=True)
-    cluster = cluster.reshape(-1)
-    members = np.bincount(cluster)
-    for axis in range(3):
-        mean = np.bincount(cluster, vertices[:, axis]) / members
-        vertices[:, axis] = mean[cluster]
+    cluster = clusters(vertices, CELL)
+    vertices[:] = cluster_means(vertices, cluster)[cluster]
     _keep_faces(model, mesh, cluster)
 
 
@@ -48,10 +41,7 @@ def _keep_faces(model: mujoco.MjModel, mesh: int, cluster: Array) -> None:
     """Move the faces whose corners differ, once each, to the front of the mesh's."""
     start, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
     rows = slice(start, start + count)
-    corners = np.sort(cluster[model.mesh_face[rows]], axis=1)
-    _, first = np.unique(corners, axis=0, return_index=True)
-    distinct = (np.diff(corners[first], axis=1) > 0).all(axis=1)
-    faces = np.sort(first[distinct])
+    faces = distinct_faces(cluster[model.mesh_face[rows]])
     for array in (model.mesh_face, model.mesh_facenormal, model.mesh_facetexcoord):
         array[start : start + len(faces)] = array[rows][faces]
     model.mesh_facenum[mesh] = len(faces)
