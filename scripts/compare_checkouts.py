@@ -42,7 +42,7 @@ OFF_POLICY = ("sac", "td3", "dqn")
 TIMES = ("seconds", "steps_per_second")
 
 Metrics = Mapping[str, list[str]]
-"""Column -> its values, evaluation by evaluation."""
+"""Column -> its values, evaluation by evaluation (those that choose the policy)."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def _run(checkout: Path, arguments: list[str]) -> None:
 
 def _metrics(folder: Path) -> Metrics:
     with (folder / "metrics.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+        rows = [row for row in csv.DictReader(file) if row["eval/return"]]
     names = [name for name in rows[0] if not name.endswith(TIMES)]
     return {name: [row[name] for row in rows] for name in names}
 

@@ -1,20 +1,32 @@
 """Render the videos of the documentation's gallery: one episode of each task."""
 
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+from manip.programs import cli
 from manip.programs.list import catalogue
 from manip.programs.render import Render, render_video
 
-FOLDER = Path(__file__).parents[1] / "docs" / "static" / "films"
+
+@dataclass(frozen=True)
+class Films:
+    """Render an episode of every task's shipped policy."""
+
+    out: Path = Path("docs/static/films")
+    """Folder for the videos."""
 
 
-def main() -> None:
-    """Render an episode of every shipped policy that has the name of its task."""
+def main(arguments: Sequence[str]) -> int:
+    """Render the videos, and print their paths."""
+    options = cli.parse(Films, arguments, "films.py")
     for task in catalogue()["tasks"]:
-        film = FOLDER / f"{task}.mp4"
+        film = options.out / f"{task}.mp4"
         render_video(Render(Path(task), film, episodes=1, width=320, height=240))
         print(film)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(cli.run(main, sys.argv[1:]))

@@ -91,7 +91,7 @@ def _options() -> tuple[argparse.Namespace, list[str]]:
 
 
 def _stretches(process: Process, metrics: Path) -> Iterator[Stretch]:
-    """Yield a stretch for each new row of the metrics."""
+    """Yield a stretch for each new evaluation in the metrics."""
     memory, files, known = 0.0, 0, 0
     steps, seconds, cpu = 0, time.monotonic(), 0.0
     while process.child.poll() is None:
@@ -114,7 +114,7 @@ def _rows(metrics: Path) -> list[dict[str, str]]:
     if not metrics.is_file():
         return []
     with metrics.open(newline="") as file:
-        return list(csv.DictReader(file))
+        return [row for row in csv.DictReader(file) if row.get("eval/return")]
 
 
 def _line(stretch: Stretch) -> str:

@@ -19,7 +19,7 @@ TOWER = (
     {"sim"},
     {"envs"},
     {"agents", "evaluation", "tasks"},
-    {"preferences"},
+    {"data", "preferences"},
     {"training"},
     {"cluster"},
     {"benchmarks", "reports", "studies"},
@@ -44,7 +44,10 @@ HOME = {
     "onnx": ("manip/agents/exports.py",),
     "onnxruntime": ("manip/deploy/exported_policy.py", "manip/agents/exports.py"),
     "dm_env": ("manip/envs/adapters/dm_env.py",),
-    "gymnasium": ("manip/envs/adapters", "manip/benchmarks"),
+    "gymnasium": (
+        *("manip/envs/adapters", "manip/benchmarks"),
+        "manip/data/minari_files.py",
+    ),
     "ray": ("manip/cluster/ray_cluster.py", "manip/cluster/ray_task.py"),
     "stable_baselines3": ("manip/envs/adapters/sb3.py", "manip/benchmarks"),
 }

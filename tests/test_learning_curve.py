@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from manip.evaluation.learning_curve import plot_learning_curve
@@ -12,19 +13,19 @@ from manip.evaluation.learning_curve import plot_learning_curve
 MEASURES = ("success_once", "success_held", "success_at_end", "return")
 
 
-def row(env_steps: int, value: float) -> dict[str, str]:
-    """A row of metrics.csv with an evaluation of this value."""
-    values = {f"eval/{measure}": str(value) for measure in MEASURES}
-    return {"env_steps": str(env_steps), "seconds": str(env_steps / 100)} | values
+def row(env_steps: int, value: float, kind: str = "eval") -> dict[str, float]:
+    """A row of metrics.csv with rates of this value."""
+    rates = {f"{kind}/{name}": value for name in (*MEASURES, "near")}
+    return {"env_steps": env_steps, "seconds": env_steps / 100} | rates
 
 
-def test_the_picture_shows_the_evaluations(tmp_path: Path) -> None:
-    without = {"env_steps": "50", "seconds": "1", "eval/success_held": ""}
+@pytest.mark.parametrize("kind", ["train", "curve", "eval"])
+def test_the_picture_shows_training_and_evaluations(kind: str, tmp_path: Path) -> None:
+    others = [row(500, 0.4, "train"), {"env_steps": 600.0, "seconds": 6.0}]
     pictures = []
     for last in (0.1, 0.9):
         path = tmp_path / "new" / f"{last}.png"
-        rows = [row(1000, 0.1), without, row(2000, last)]
-        plot_learning_curve(rows, "Lift", path)
+        plot_learning_curve([*others, row(2000, last, kind)], "Lift", path)
         pictures.append(np.asarray(Image.open(path)))
     assert pictures[0].shape == pictures[1].shape
     assert (pictures[0] != pictures[1]).any()

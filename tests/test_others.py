@@ -306,10 +306,12 @@ def test_a_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
             options = ("--task", DM, *TINY, "--steps", steps, "--out", run, *more)
             assert start("train", *options) == 0
             more = ("--resume",)
-        rows.append(read_metrics(run / "metrics.csv"))
+        table = read_metrics(run / "metrics.csv")
+        rows.append([row for row in table if row["eval/return"]])
         assert len(rows[-1]) == 2
     clocks = {"seconds", "cpu_seconds", "steps_per_second"}
-    whole, resumed = ([{k: r[k] for k in r.keys() - clocks} for r in of] for of in rows)
+    compared = [k for k in rows[0][0] if k not in clocks and "curve/" not in k]
+    whole, resumed = ([{k: r[k] for k in compared} for r in of] for of in rows)
     assert whole == resumed
 
 

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import platform
 import runpy
 import shutil
 import signal
@@ -24,6 +25,8 @@ from manip.agents.policy import WEIGHTS, load_policy
 from manip.agents.registry import algorithm_names
 from manip.envs.external_task import external_names
 from manip.envs.task_registry import task_names
+from manip.errors import UserError
+from manip.evaluation import episode_recording
 from manip.evaluation import runners as evaluation
 from manip.programs import cli, evaluate, main, render
 from manip.robot_config import CONTROLLERS, ROBOTS
@@ -195,8 +198,18 @@ def test_render_shows_two_policies_side_by_side(manip: Manip, run: Path) -> None
     reader = imageio_ffmpeg.read_frames("video.mp4")
     assert next(reader)["size"] == (192, 64)
     for frame in reader:
-        picture = np.frombuffer(frame, np.uint8).reshape(64, 2, 96, 3).astype(int)
+        shown = np.frombuffer(frame, np.uint8).reshape(64, 2, 96, 3)
+        picture = shown[32:].astype(int)  # below the titles
         assert np.abs(picture[:, 0] - picture[:, 1]).mean() < 5  # coded by H.264
+
+
+def test_report_writes_a_page(manip: Manip, run: Path) -> None:
+    result = manip("report", str(run), "--episodes", "2")
+    assert (result.code, result.out[:13]) == (0, "report.html (")
+    page = Path("report.html").read_text(encoding="utf-8")
+    assert "of 2 episodes end in success" in page
+    assert "manip train --task Reach --algo ppo" in page
+    assert f"manip report {run} --episodes 2" in page
 
 
 @pytest.mark.parametrize("program", sorted(main.PROGRAMS))
@@ -287,11 +300,18 @@ def refusal(result: Result) -> str:
         ("evaluate RUN --seed -1", "--seed must be at least 0, not -1"),
         ("render nowhere", "nowhere holds no policy"),
         ("render RUN --before Lift", "--before is a policy for Lift, and the other"),
+        ("report", "name 1 to 20 runs, not 0"),
+        ("report nowhere", "nowhere holds no policy"),
+        ("report RUN --out page.pdf", "known file formats: .html"),
+        ("report RUN --episodes 0", "--episodes must be at least 1, not 0"),
         ("render RUN --steps 0", "--steps must be at least 1, not 0"),
+        ("render RUN --fps 0", "--fps must be from 0.01 to 1000, not 0"),
+        ("render RUN --view 1 2", "--view must be four to six numbers"),
+        ("render RUN --episode 1 --failures 1", "shows one episode"),
         ("render RUN --width 0", "--width must be at least 1, not 0"),
         ("render RUN --width 100000", "--width must be at most 4096"),
         ("render RUN --episodes 100000", "--episodes must be at most 1000"),
-        ("render RUN --out film.avi", "known file formats: .mp4, .gif"),
+        ("render RUN --out film.avi", "known file formats: .mp4, .gif, .png"),
         ("render RUN --out /proc/film.mp4", "/proc is not writable"),
         ("results --readme .", "--readme . is a folder: name a file"),
         ("list --jsn", "Unrecognized options: --jsn.*--json"),
@@ -313,9 +333,16 @@ def test_mistakes_are_one_line_and_leave_nothing(
 def test_an_unknown_camera_is_refused_before_the_episodes(
     manip: Manip, run: Path, monkeypatch
 ) -> None:
-    monkeypatch.setattr(render, "run_episodes", None)
+    monkeypatch.setattr(render, "record", None)
     camera = manip("render", str(run), "--camera", "frontveiw")
     assert "did you mean 'frontview'? known cameras: workspace," in refusal(camera)
+
+
+def test_without_a_display_there_is_no_window(manip, run, monkeypatch) -> None:
+    for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr(platform, "system", lambda: "Linux")
+    assert "no display (DISPLAY is not set)" in refusal(manip("view", str(run)))
 
 
 def with_card(run: Path, folder: Path, **changes: object) -> Path:
@@ -327,11 +354,14 @@ def with_card(run: Path, folder: Path, **changes: object) -> Path:
 
 
 def test_a_task_of_another_library_is_not_rendered(manip, run, monkeypatch) -> None:
-    monkeypatch.setattr(render, "make_env", lambda *_: SimpleNamespace(batch=other))
-    other = SimpleNamespace(task=SimpleNamespace(name="dm_control/reach"))
-    monkeypatch.setattr(render, "run_episodes", None)
+    def visual_model(env_id: int) -> None:
+        raise UserError("dm_control/reach is stepped by dm_control")
+
+    other = SimpleNamespace(batch=SimpleNamespace(visual_model=visual_model))
+    monkeypatch.setattr(episode_recording, "make_env", lambda *_: other)
+    monkeypatch.setattr(render, "record", None)
     line = refusal(manip("render", str(run)))
-    assert "dm_control/reach is not stepped by the batch engine" in line
+    assert "dm_control/reach is stepped by dm_control" in line
 
 
 def test_a_card_of_odd_text_is_refused_in_inert_text(manip, run, tmp_path) -> None:

@@ -15,7 +15,7 @@ from PIL import Image
 
 from manip.errors import UserError
 from manip.io.video import Caption, draw_caption, save_animation
-from manip.programs.render import beside
+from manip.programs.film import beside
 from manip.sim import gl
 from manip.sim.renderer import camera_names, hide_decorations, render_frames
 from manip.sim.robosuite_factory import make_stock

@@ -10,12 +10,14 @@ from typing import Any
 
 import pytest
 import torch
+from sameness import assert_same
 from training_runs import (
     AGENTS,
     OFTEN,
     ROLLOUT,
     assert_equal_runs,
     assert_tensorboard_holds,
+    choices,
     contents,
     copy_of,
     finished,
@@ -63,7 +65,16 @@ def test_a_finished_run_can_be_prolonged(tmp_path: Path) -> None:
     short = tiny("ppo", tmp_path / "run", steps=384)
     assert new_trainer(short).run()
     assert new_trainer(replace(short, steps=512, resume=True)).run()
-    assert_equal_runs(finished("ppo").folder, short.folder)
+    whole = finished("ppo").folder
+    assert_same(without_rows(whole), without_rows(short.folder))
+    assert choices(short.folder)[-1]["eval/return"] == choices(whole)[-1]["eval/return"]
+
+
+def without_rows(folder: Path) -> Any:
+    """The last state of a run, without its rows, whose number depends on its length."""
+    state = state_of(folder)
+    del state["progress"]["rows"]
+    return state
 
 
 def test_nothing_is_not_resumed(tmp_path: Path) -> None:

@@ -140,6 +140,11 @@ def timeless(folder: Path) -> list[dict[str, str]]:
     return [{k: v for k, v in row.items() if k not in TIMES} for row in rows]
 
 
+def choices(folder: Path) -> list[dict[str, str]]:
+    """The rows of the evaluations that choose the policy."""
+    return [row for row in read_metrics(folder / "metrics.csv") if row["eval/return"]]
+
+
 def state_of(folder: Path, which: str = "latest") -> Any:
     tree = load_tree(folder / "checkpoints" / f"{which}.safetensors")
     for timed in (tree["progress"], *tree["progress"]["rows"]):
@@ -161,9 +166,10 @@ def assert_tensorboard_holds(rows: list[dict[str, str]], folder: Path) -> None:
     events = EventAccumulator(str(folder / "tensorboard"))
     events.Reload()
     assert set(events.Tags()["scalars"]) == set(rows[-1]) - {"env_steps"}
-    scalars = [(event.step, event.value) for event in events.Scalars("eval/return")]
-    expected = [(int(row["env_steps"]), float(row["eval/return"])) for row in rows]
-    assert scalars == [pytest.approx(pair) for pair in expected]
+    for name in ("eval/return", "curve/return", "train/return"):
+        scalars = [(event.step, event.value) for event in events.Scalars(name)]
+        held = [(int(row["env_steps"]), row[name]) for row in rows if row[name]]
+        assert scalars == [pytest.approx((step, float(v))) for step, v in held]
 
 
 def copy_of(run: Trainer, folder: Path) -> TrainConfig:

@@ -1,7 +1,7 @@
 """The contract between an algorithm and the training loop."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -75,6 +75,8 @@ class Agent(ABC):
         needs_preferences: learns from compared clips (`relabel`, `compare`), not from
             the environment's reward: needs a run with `--preferences`.
         image_copies: copies of each image in its replay buffer, to check the memory.
+        takes_datasets: learns from recorded episodes (`--dataset`): as from an expert
+            if it imitates, else they are given to `add_demonstrations`.
         has_native_gradients: its constructor takes the keyword `gradients`, "native" or
             "torchrl"; others always learn through TorchRL's losses and autograd.
     """
@@ -85,6 +87,7 @@ class Agent(ABC):
     imitates: ClassVar[bool] = False
     sees_images: ClassVar[bool] = False
     image_copies: ClassVar[int] = 1
+    takes_datasets: ClassVar[bool] = False
     needs_preferences: ClassVar[bool] = False
     has_native_gradients: ClassVar[bool] = False
 
@@ -133,6 +136,13 @@ class Agent(ABC):
 
         Returns:
             Scalars to log; empty before learning starts.
+        """
+
+    def add_demonstrations(self, rollouts: Sequence[TensorDictBase]) -> None:
+        """Learn from recorded episodes, too; called before anything else.
+
+        Args:
+            rollouts: one [1, T] for each episode. By default they are ignored.
         """
 
     def store(self, batch: TensorDictBase) -> None:

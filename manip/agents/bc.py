@@ -71,6 +71,7 @@ class BC(Agent):
     Config = BCConfig
     off_policy = True
     imitates = True
+    takes_datasets = True
     sees_images = True
     actor: Actor | ImageActor
 

@@ -6,7 +6,7 @@ such bias, and learns slower.
 """
 
 from abc import abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -75,6 +75,7 @@ class OffPolicy(Agent):
             spaces.action_dim,
             spaces.inputs.cameras,
         )
+        self._demonstrations: Replay | None = None
         self._steps = 0
         self._owed = 0.0
         self._updates = 0
@@ -117,6 +118,17 @@ class OffPolicy(Agent):
         self._replay.add(batch)
         self._steps += batch.numel()
 
+    def add_demonstrations(self, rollouts: Sequence[TensorDictBase]) -> None:
+        """Take half of each batch from recorded episodes [1, T], as RLPD does (Ball et
+        al. 2023, arXiv 2302.02948).
+        """
+        size = sum(rollout.numel() for rollout in rollouts)
+        spaces = self._spaces
+        replay = Replay(size, spaces.observation_dim, spaces.action_dim)
+        for rollout in rollouts:
+            replay.add(rollout)
+        self._demonstrations = replay
+
     def relabel(self, reward: RewardFunction) -> None:
         """Replace the reward of every stored step."""
         self._replay.relabel(reward)
@@ -153,12 +165,29 @@ class OffPolicy(Agent):
         if not batches:
             return ()
         size, options = self._options.batch_size, self._options
+        if self._demonstrations is not None:
+            return self._sample_both(batches, self._demonstrations)
         rows, form = self._replay.draw(batches * size), (options.n_step, options.gamma)
         if not self._replay.cameras:
             return self._replay.transitions(rows, *form).split(size)
         return (
             self._replay.image_transitions(part, *form) for part in rows.split(size)
         )
+
+    def _sample_both(self, batches: int, recorded: Replay) -> Iterator[Tensor]:
+        """Batches of which one half is collected, the other recorded."""
+        options = self._options
+        form = options.n_step, options.gamma
+        half = options.batch_size // 2
+        for _ in range(batches):
+            parts = [
+                replay.transitions(replay.draw(count), *form)
+                for replay, count in (
+                    (self._replay, options.batch_size - half),
+                    (recorded, half),
+                )
+            ]
+            yield torch.cat(parts)
 
 
 def descend(optimiser: torch.optim.Optimizer, loss: Tensor) -> None:

@@ -39,6 +39,7 @@ class PEBBLE(SAC):
     name = "pebble"
     Config = PEBBLEConfig
     needs_preferences = True
+    takes_datasets = False
     config: PEBBLEConfig
 
     def __init__(

@@ -82,6 +82,7 @@ class SAC(OffPolicy):
     Config = SACConfig
     has_native_gradients = True
     sees_images = True
+    takes_datasets = True
     actor: AnyActor
 
     def __init__(

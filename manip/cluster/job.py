@@ -39,7 +39,7 @@ class Report:
     Attributes:
         env_steps: control steps of training so far.
         steps_per_second: control steps a second, in this process.
-        success: recent success rate of training episodes; None before the first.
+        success: recent success_held of training episodes; None before the first.
         episodes: episodes of the final evaluation that have ended.
         messages: lines for people to read, new since the last report.
     """

@@ -91,7 +91,7 @@ class JobsDisplay:
         return f", about {duration(seconds)} left" if seconds else ""
 
     def _table(self) -> RenderableType:
-        table = Table("run", "steps", "steps/s", "success", "time", box=None)
+        table = Table("run", "steps", "steps/s", "success_held", "time", box=None)
         for entry in self.ledger.having("running"):
             table.add_row(*_cells(entry))
         failed = self.ledger.having("failed")[-FAILED_ROWS:]

@@ -33,16 +33,14 @@ def connected(address: str) -> Any:
             f"there is no Ray cluster at {address} ({one_line(error)}): start one with "
             "`ray start --head`, or name its address as host:port"
         ) from error
-    _print_no_paragraphs()
+    _print_no_paragraphs(ray)
     return ray
 
 
-def _print_no_paragraphs() -> None:
-    """Keep Ray from printing a paragraph for each lost process.
+def _print_no_paragraphs(ray: Any) -> None:
+    """Keep Ray from printing a paragraph for each lost process, as its debugger does.
 
-    Ray has no option for it. Those who lose a process say so in a line.
+    There is no option for it. Those who lose a process say so in a line.
     """
-    with suppress(AttributeError, ImportError):
-        from ray._private.ray_logging import global_worker_stdstream_dispatcher
-
-        global_worker_stdstream_dispatcher.remove_handler("ray_print_logs")
+    with suppress(AttributeError):
+        ray._private.worker._worker_logs_enabled = False

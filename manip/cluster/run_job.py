@@ -87,7 +87,7 @@ def _report(progress: Progress) -> Report:
     return Report(
         env_steps=progress.env_steps,
         steps_per_second=progress.steps_per_second,
-        success=progress.averages.get("train/success"),
+        success=progress.averages.get("train/success_held"),
         messages=progress.messages,
     )
 

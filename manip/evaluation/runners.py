@@ -31,6 +31,7 @@ from manip.evaluation.episodes import (
     Policy,
     run_episodes,
 )
+from manip.evaluation.policy_blocks import in_blocks
 from manip.looks import Looks
 from manip.observation import check_observation
 from manip.robot_config import RobotConfig
@@ -69,6 +70,7 @@ class EpisodeSettings:
             with the environment's unless None.
         cameras: cameras whose images the policy needs; None for none.
         episodes: number of episodes.
+        first: number of the first one; `Episode.index` counts on from it.
         seed: of their random streams; no two seeds share an episode.
         purpose: episodes of different purposes differ, so that a policy is never
             evaluated on the starts that it was trained or chosen on.
@@ -96,6 +98,7 @@ class EpisodeSettings:
     looks: str | Looks | None = None
     perturbations: Perturbations = ()
     details: bool = False
+    first: int = 0
 
 
 def evaluate_policy(
@@ -145,6 +148,7 @@ def make_env(
     if settings.backend == "native":
         options = {"fidelity": settings.fidelity, "motion": settings.details}
         options |= {"scene": scene} if scene else {}
+        options["first_env"] = settings.first
     batch = make_batch(
         settings.task,
         num_envs,
@@ -163,6 +167,11 @@ def make_env(
     return TaskEnv(batch, measures=settings.taste is not None, motion=motion)
 
 
+def acting(policy: Policy | ActsInBatch, batch: TaskBatch) -> Policy:
+    """The policy for a batch whose next episodes are about to begin."""
+    return policy.acting_in(batch) if isinstance(policy, ActsInBatch) else policy
+
+
 def run_settings(
     env: TaskEnv,
     policy: Policy | ActsInBatch,
@@ -172,16 +181,18 @@ def run_settings(
 ) -> list[Episode]:
     """Run episodes; penalties and details are recorded if the settings say so.
 
-    The callback is called with the state before every step.
+    An episode does not depend on how many run side by side, to the last bit.
     """
-    if isinstance(policy, ActsInBatch):
-        policy = policy.acting_in(env.batch)
+    act = acting(policy, env.batch)
+    if settings.backend == "native" and not isinstance(policy, ActsInBatch):
+        act = in_blocks(act)
     penalty: Penalty | None = None
     if settings.taste:
         names = env.batch.measure_names
         penalty = partial(settings.taste.penalties, names=names)
     details = DetailTracker(env) if settings.details else None
-    return run_episodes(env, policy, episodes, callback, penalty, details)
+    results = run_episodes(env, act, episodes, callback, penalty, details)
+    return [replace(each, index=settings.first + each.index) for each in results]
 
 
 def _stock_episodes(
@@ -190,14 +201,14 @@ def _stock_episodes(
     processes = min(processes, settings.episodes)
     if processes == 1:
         env = make_env(settings)
-        for index in range(settings.episodes):
+        for index in _numbers(settings):
             yield _stock_episode(env, policy, settings, index)
         return
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(processes, context, _start_worker, (policy, settings))
     try:
         with interrupts_blocked():
-            episodes = pool.map(_episode_of_worker, range(settings.episodes))
+            episodes = pool.map(_episode_of_worker, _numbers(settings))
         yield from episodes
     except BrokenProcessPool as error:
         raise ChildProcessError(
@@ -205,6 +216,10 @@ def _stock_episodes(
         ) from error
     finally:
         _end(pool)
+
+
+def _numbers(settings: EpisodeSettings) -> range:
+    return range(settings.first, settings.first + settings.episodes)
 
 
 def _stock_episode(

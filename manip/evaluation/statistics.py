@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import sqrt
+from math import hypot, sqrt
 from statistics import NormalDist
 from typing import Literal, NamedTuple
 
@@ -126,6 +126,23 @@ def rate_over_seeds(counts: Sequence[SeedCount]) -> Rate:
     widen = sqrt(len(counts) / (len(counts) - 1))
     low, high = mean - widen * (mean - low), mean + widen * (high - mean)
     return Rate(mean, float(np.clip(low, 0, mean)), float(np.clip(high, mean, 1)))
+
+
+def difference_of_rates(new: Sequence[SeedCount], stored: Sequence[SeedCount]) -> Rate:
+    """Rate of one group of seeds minus that of another, with its 95 % interval.
+
+    The intervals of both rates p and q (`rate_over_seeds`), squared and added (method
+    10 of Newcombe 1998; for any two intervals Zou & Donner 2008):
+    p - q - sqrt((p - low_p)^2 + (high_q - q)^2), and the same upwards.
+
+    Raises:
+        UserError: there are no seeds, or one without episodes.
+    """
+    p, q = rate_over_seeds(new), rate_over_seeds(stored)
+    difference = p.rate - q.rate
+    below = hypot(p.rate - p.low, q.high - q.rate)
+    above = hypot(p.high - p.rate, q.rate - q.low)
+    return Rate(difference, difference - below, difference + above)
 
 
 def _check_counts(counts: Sequence[SeedCount]) -> None:

@@ -9,7 +9,6 @@ from rich.table import Table
 from rich.text import Text
 
 from manip.errors import at_least
-from manip.evaluation.learning_curve import plot_learning_curve
 from manip.evaluation.report import Evaluation, table
 from manip.io.atomic_files import write_text
 from manip.io.output_paths import check_output_folder
@@ -23,7 +22,6 @@ from manip.training.config import TrainConfig
 from manip.training.final_evaluation import check_episodes
 from manip.training.recipes import recipe
 from manip.training.run import RunResult, train
-from manip.training.run_logs import read_metrics
 from manip.training.terminal import TerminalProgress
 
 STOPPED = 3
@@ -58,9 +56,8 @@ def main(arguments: Sequence[str]) -> int:
     _print_step(f"2/3  evaluate: {options.episodes} episodes in stock robosuite")
     result = evaluate(Evaluate(options.out, episodes=options.episodes))
     write_text(options.out / "eval.json", result.to_json())
-    _print_step("3/3  render and plot")
+    _print_step("3/3  render")
     render_video(Render(options.out, options.out / "video.mp4", steps=60))
-    _plot(options)
     console().print(table(result))
     console().print(_summary(run, result))
     return 0
@@ -82,12 +79,6 @@ def _config(options: Demo) -> TrainConfig:
         return replace(config, resume=True)
     remove_finished(options.out)
     return config
-
-
-def _plot(options: Demo) -> None:
-    title = f"Lift, Panda, SAC, seed {options.seed}"
-    rows = read_metrics(options.out / "metrics.csv")
-    plot_learning_curve(rows, title, options.out / "learning_curve.png")
 
 
 def _summary(run: RunResult, result: Evaluation) -> Table:

@@ -51,8 +51,8 @@ class Evaluate:
     """
 
     run: Annotated[Path, tyro.conf.Positional]
-    """Run folder, policy folder, or name of a shipped policy (see `manip list`). With
-    --policy, the task instead."""
+    """Run folder, policy folder, checkpoint file, or name of a shipped policy (see
+    `manip list`). With --policy, the task instead."""
     policy: Baseline | None = None
     """Policy that needs no training. expert: the task's expert; random: random actions;
     untrained: a network as a training begins with it."""

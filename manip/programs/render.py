@@ -1,33 +1,32 @@
-"""`manip render`: make a video of a policy."""
+"""`manip render`: make a video or stills of a policy."""
 
-from collections.abc import Generator, Sequence
-from contextlib import closing
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import torch
 import tyro
-from tensordict import TensorDictBase
 
-from manip.agents.policy import Policy, load_policy
-from manip.envs.adapters.torchrl import TaskEnv
-from manip.envs.backends.native_batch import NativeBatch
+from manip.envs.make_batch import Backend
 from manip.envs.task import Task
-from manip.envs.task_registry import load_task_named_by
-from manip.errors import UserError, at_least
-from manip.evaluation.episodes import run_episodes
-from manip.evaluation.runners import EpisodeSettings, make_env
+from manip.errors import UserError, at_least, shown
+from manip.evaluation.episode_recording import RecordedEpisode, first_state, record
+from manip.evaluation.runners import EpisodeSettings
 from manip.io.output_paths import check_output
 from manip.io.printable import printable
-from manip.io.video import Caption, save_animation
 from manip.programs import cli
-from manip.sim.renderer import WORKSPACE, render_frames
+from manip.programs.film import Film, first_image, save_film, save_stills
+from manip.sim.renderer import WORKSPACE, OwnView
+from manip.training.baselines import AnyPolicy, Baseline
+from manip.training.final_evaluation import (
+    EvaluationOptions,
+    episode_settings,
+    load_policy_and_task,
+)
 
-Array = np.ndarray
-
-SUFFIXES = (".mp4", ".gif")
+STILLS = ".png"
+SUFFIXES = (".mp4", ".gif", STILLS)
 
 MOST_EPISODES = 1000
 """Their states are stored until they are drawn."""
@@ -35,28 +34,56 @@ MOST_EPISODES = 1000
 MOST_PIXELS = 4096
 """Width and height that H.264 decoders play."""
 
+SEARCHED = 100
+"""Episodes among which --failures looks for failed ones, those of `manip evaluate`."""
+
 
 @dataclass(frozen=True)
 class Render:
-    """Make a video of a policy, off screen: with EGL, or else OSMesa."""
+    """Make a video of a policy, off screen: with EGL, or else OSMesa.
+
+    The episodes are those of `manip evaluate` with the same --env and --seed.
+    """
 
     run: Annotated[Path, tyro.conf.Positional]
-    """Run folder, policy folder, or name of a shipped policy (see `manip list`)."""
+    """Run folder, policy folder, checkpoint file, or name of a shipped policy (see
+    `manip list`). With --policy, the task instead."""
     out: Path = Path("video.mp4")
-    """Video file to write: .mp4 or .gif."""
+    """File to write: .mp4 or .gif; .png for stills in one image, a row per episode."""
     episodes: int = 3
     """Number of episodes, one after the other in the video."""
+    episode: int | None = None
+    """Number of the only episode to show: its index in episodes.csv."""
+    failures: int = 0
+    """Show so many episodes that failed (not success_held), of the first 100."""
     seed: int = 0
     """Seed of the episodes' random streams, the same as of `manip evaluate`."""
-    camera: str = WORKSPACE
-    """Camera: workspace, closeup, or one of the model's own (frontview, sideview,
-    ...)."""
+    env: Backend = "native"
+    """Backend that simulates the episodes. native: the batch engine with exact physics;
+    stock: robosuite itself, slower."""
+    policy: Baseline | None = None
+    """Policy that needs no training: the task's expert, random actions, or an untrained
+    network."""
+    robot: str = "Panda"
+    """Robot arm with --policy; a trained policy has its own."""
+    camera: tuple[str, ...] = (WORKSPACE,)
+    """Cameras, side by side: workspace, closeup, or the model's own (frontview,
+    sideview, ...)."""
+    view: tuple[float, ...] = ()
+    """Camera of your own instead: the point it looks at, x y z [m], its distance [m],
+    and if you like its azimuth and elevation [degree]: 0 0 0.9 1.2 180 -20."""
     width: int = 640
-    """Width of the image [pixel]."""
+    """Width of each camera's image [pixel]."""
     height: int = 480
     """Height of the image [pixel]."""
     steps: int | None = None
     """Control steps shown of each episode. All of them unless given."""
+    fps: float | None = None
+    """Frames per second of the video. One frame for each control step unless given."""
+    speed: float = 1.0
+    """Seconds of the episode in a second of the video: 0.25 is slow motion."""
+    stills: int = 5
+    """Stills of each episode in a .png file, from its start to its end."""
     before: Path | None = None
     """Another policy for the same task, shown at the left in the same episodes."""
     images: bool = False
@@ -74,35 +101,63 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def render_video(options: Render) -> None:
-    """Run the episodes on the exact engine, then draw the recorded states.
+    """Run the episodes on the exact engine or in stock, then draw the recorded states.
 
     Raises:
         UserError: an option is out of range, the file cannot be written, nothing can
             draw here, or the task has no states to draw; all before the episodes.
     """
     _check(options)
-    runs = [run for run in (options.before, options.run) if run is not None]
-    policies = [load_policy(run) for run in runs]
+    loaded = [load_policy_and_task(options.run, options.policy, options.robot)]
+    if options.before:
+        loaded.insert(0, load_policy_and_task(options.before, None, options.robot))
+    policies = [policy for policy, _ in loaded]
     _check_comparable(policies)
-    recorders = [_record(*each, options) for each in zip(runs, policies, strict=True)]
-    rows = zip(*(each.frames(options) for each in recorders), strict=True)
-    frames = (np.concatenate(row, axis=1) for row in rows)
-    save_animation(options.out, frames, policies[-1].card.control_freq)
+    film = _film(options, policies)
+    settings = [_settings(options, policy, task) for policy, task in loaded]
+    for policy, each in zip(policies, settings, strict=True):
+        if options.images and policy.card.cameras is None:
+            raise UserError(f"the policy {options.run} sees no images: drop --images")
+        first_image(first_state(each), film)
+    rows = [record(*each) for each in zip(policies, settings, strict=True)]
+    if options.failures:
+        rows = _failed(rows, options)
+    if options.out.suffix == STILLS:
+        save_stills(options.out, rows, film, options.stills)
+    else:
+        save_film(options.out, rows, film)
 
 
-def _record(run: Path, policy: Policy, options: Render) -> "Recorder":
-    """Run the episodes of a policy, after drawing one image."""
-    if options.images and policy.card.cameras is None:
-        raise UserError(f"the policy in {run} sees no images: drop --images")
-    task = load_task_named_by(run, policy.card.task)
-    env = make_env(_settings(options, policy, task), options.episodes)
-    _draw_one(env, options)
-    recorder = Recorder(env)
-    run_episodes(env, policy, options.episodes, callback=recorder)
-    return recorder
+def _failed(
+    rows: list[list[RecordedEpisode]], options: Render
+) -> list[list[RecordedEpisode]]:
+    """The first episodes in which the policy, the last of the rows, failed."""
+    failed = [i for i, each in enumerate(rows[-1]) if not each.episode.success_held]
+    if not failed:
+        raise UserError(
+            f"no episode of {len(rows[-1])} failed: try another --seed than "
+            f"{options.seed}, or --episode"
+        )
+    return [[row[index] for index in failed[: options.failures]] for row in rows]
 
 
-def _check_comparable(policies: Sequence[Policy]) -> None:
+def _film(options: Render, policies: Sequence[AnyPolicy]) -> Film:
+    titles = ("before   ", "after   ") if options.before else ("",)
+    control_freq = policies[-1].card.control_freq
+    return Film(
+        cameras=(OwnView(*options.view),) if options.view else options.camera,
+        width=options.width,
+        height=options.height,
+        control_freq=control_freq,
+        fps=options.fps or control_freq,
+        speed=options.speed,
+        steps=options.steps,
+        images=options.images,
+        titles=titles,
+    )
+
+
+def _check_comparable(policies: Sequence[AnyPolicy]) -> None:
     names = [policy.card.task for policy in policies]
     if names[0] != names[-1]:
         raise UserError(
@@ -119,101 +174,33 @@ def _check_comparable(policies: Sequence[Policy]) -> None:
 
 def _check(options: Render) -> None:
     cli.check_range("--episodes", options.episodes, 1, MOST_EPISODES)
+    cli.check_range("--failures", options.failures, 0, SEARCHED)
+    cli.check_range("--stills", options.stills, 1, 100)
     cli.check_range("--width", options.width, 1, MOST_PIXELS)
     cli.check_range("--height", options.height, 1, MOST_PIXELS)
     at_least(1, "--steps", 1 if options.steps is None else options.steps)
     at_least(0, "--seed", options.seed)
+    at_least(0, "--episode", options.episode or 0)
+    if options.episode is not None and options.failures:
+        raise UserError("--episode shows one episode: drop --failures")
+    fps = 20.0 if options.fps is None else options.fps
+    for name, value in (("--fps", fps), ("--speed", options.speed)):
+        if not 0.01 <= value <= 1000:
+            raise UserError(f"{name} must be from 0.01 to 1000, not {shown(value)}")
+    if not options.camera:
+        raise UserError("--camera must name one camera or more")
+    if len(options.view) not in (0, 4, 5, 6):
+        raise UserError(
+            "--view must be four to six numbers, x y z distance azimuth elevation, "
+            f"not {len(options.view)}"
+        )
     check_output(options.out, "--out", SUFFIXES)
 
 
-def _draw_one(env: TaskEnv, options: Render) -> None:
-    """Draw one image, which fails where camera, size or OpenGL do not work."""
-    recorder = Recorder(env)
-    recorder(env.reset())
-    with closing(recorder.frames(options)) as frames:
-        next(frames)
-    env.batch.restart()
-
-
-def _settings(options: Render, policy: Policy, task: Task) -> EpisodeSettings:
-    return EpisodeSettings(
-        task=task,
-        robot=policy.card.robot_config,
-        observation=policy.card.observation,
-        cameras=policy.card.cameras,
-        episodes=options.episodes,
-        seed=options.seed,
-        backend="native",
-    )
-
-
-class Recorder:
-    """Record the states of environments during their episodes, and draw them later.
-
-    Raises:
-        UserError: the environments are not on the batch engine.
-    """
-
-    def __init__(self, env: TaskEnv) -> None:
-        if not isinstance(env.batch, NativeBatch):
-            raise UserError(
-                f"{env.batch.task.name} is not stepped by the batch engine and cannot "
-                "be rendered; `manip evaluate` measures its success"
-            )
-        self._batch = env.batch
-        self._states: list[Array] = []
-        self._success: list[Array] = []
-        self._images: list[list[Array]] = []
-
-    def __call__(self, state: TensorDictBase) -> None:
-        """Record the present state of all environments."""
-        self._states.append(self._batch.engine.states.copy())
-        self._success.append(state["success"].squeeze(-1).numpy().copy())
-        parts = self._batch.cameras.parts
-        self._images.append([state[part.name].numpy() for part in parts])
-
-    def frames(self, options: Render) -> Generator[Array, None, None]:
-        """Images [H, W, 3] uint8 of all episodes, one after the other."""
-        states = np.stack(self._states)[: options.steps]
-        success = np.stack(self._success)[: options.steps]
-        for env_id in range(self._batch.num_envs):
-            captions = [
-                Caption(_caption(env_id, step, bool(done)), bool(done))
-                for step, done in enumerate(success[:, env_id])
-            ]
-            frames = render_frames(
-                self._batch.engine.visual_model(states[0, env_id]),
-                states[:, env_id, : self._batch.scene.visual.nq],
-                options.camera,
-                options.width,
-                options.height,
-                captions,
-            )
-            with closing(frames):
-                for step, frame in enumerate(frames):
-                    images = [image[env_id] for image in self._images[step]]
-                    yield beside(frame, images) if options.images else frame
-
-
-def beside(frame: Array, images: Sequence[Array]) -> Array:
-    """Put images, one below the other, at the right of a frame.
-
-    Args:
-        frame: [H, W, 3] uint8.
-        images: [S, S, 3 k] uint8 each, the bottom row first; the last 3 channels, the
-            latest image, are shown.
-
-    Returns:
-        [H, W + H / number of images, 3] uint8; less than that many rows are black.
-    """
-    side = frame.shape[0] // len(images)
-    column = np.zeros((frame.shape[0], side, 3), np.uint8)
-    for number, image in enumerate(images):
-        place = np.arange(side) * len(image) // side
-        enlarged = image[::-1, :, -3:][place][:, place]
-        column[number * side : (number + 1) * side] = enlarged
-    return np.concatenate([frame, column], axis=1)
-
-
-def _caption(env_id: int, step: int, success: bool) -> str:
-    return f"episode {env_id + 1}   step {step}" + ("   SUCCESS" if success else "")
+def _settings(options: Render, policy: AnyPolicy, task: Task) -> EpisodeSettings:
+    episodes = SEARCHED if options.failures else options.episodes
+    evaluation = EvaluationOptions(options.env, episodes, options.seed)
+    settings = episode_settings(evaluation, policy, task)
+    if options.episode is None:
+        return settings
+    return replace(settings, first=options.episode, episodes=1)

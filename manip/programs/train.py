@@ -8,15 +8,17 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import tyro
 
 from manip.agents.policy_card import Observe
 from manip.cluster.ray_collectors import ray_collectors
+from manip.cluster.seeds import seeds_folder, train_seeds
 from manip.envs.external_task import ExternalTask
 from manip.envs.task_registry import load_task, load_task_named_by
 from manip.errors import UserError, check_choice
+from manip.io.option_ranges import Range
 from manip.programs import cli
 from manip.robot_config import CONTROLLERS, ROBOTS
 from manip.training.config import TrainConfig, recorded
@@ -28,6 +30,7 @@ from manip.training.terminal import TerminalProgress
 
 _TEXT_OPTIONS = {
     *("--task", "--algo", "--robot", "--out", "--wandb", "--init", "--teacher"),
+    "--dataset",
     *("--agent.reference", "--preferences", "--labels.taste", "--ray"),
 }
 """Options whose value is text and must not be rewritten as a number."""
@@ -47,6 +50,10 @@ class Train(TrainConfig):
     """Step the environments on the Ray cluster at this address (host:port), or on the
     one that this machine belongs to (auto): each of --collectors takes one CPU there.
     It does not change the run. Needs the package ray on all machines."""
+    seeds: Annotated[tuple[int, ...], Range(0, 2**32 - 1)] = ()
+    """Train once with each of these seeds, in parallel, in the folders OUT/seed0, ...
+    The same command continues runs that were interrupted; `manip compare OUT` shows
+    mean and range over the seeds."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +77,8 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = _options(Train, arguments)
     config, task = _without_place(options), load_task(options.task)
+    if options.seeds:
+        return _train_seeds(config, options)
     with _place(options.ray) as place, TerminalProgress() as progress:
         if isinstance(task, ExternalTask):
             progress.say(f"manip: {task.notice}")
@@ -80,6 +89,21 @@ def main(arguments: Sequence[str]) -> int:
     if result.waiting:
         return WAITING
     return 0 if result.finished else 3
+
+
+def _train_seeds(config: TrainConfig, options: Train) -> int:
+    """Train with each seed; 0 if all have finished, 1 if one failed, 3 otherwise."""
+    if options.ray is not None:
+        raise UserError("--seeds trains on this machine: use `manip sweep` with --ray")
+    outcomes = train_seeds(config, options.seeds)
+    ends = [outcome.status for outcome in outcomes.values()]
+    out = seeds_folder(config)
+    print(
+        f"trained policies: {out}; compare them: manip compare {out}", file=sys.stderr
+    )
+    if "failed" in ends:
+        return 1
+    return 0 if ends.count("finished") == len(options.seeds) else 3
 
 
 def config_of(arguments: Sequence[str]) -> TrainConfig:

@@ -6,6 +6,7 @@ States are drawn afterwards, so that no simulation holds an OpenGL context.
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
 from copy import copy
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -21,12 +22,33 @@ WORKSPACE, CLOSEUP = "workspace", "closeup"
 space in which the hand works, in which small motions are better seen.
 """
 
-_LOOK_AT = {WORKSPACE: ((-0.16, 0.0, 1.08), 1.45), CLOSEUP: ((0.0, 0.0, 0.99), 0.95)}
-"""Camera -> the point it looks at and its distance [m], for robosuite's table at
-(0, 0, 0.8) m and a base at x = -0.56 m."""
+
+class OwnView(NamedTuple):
+    """A camera: the point that it looks at and its distance from it [m]; azimuth, 0
+    where it looks along +x, and elevation, negative where it looks down [degree].
+    """
+
+    x: float
+    y: float
+    z: float
+    distance: float
+    azimuth: float = 225.0
+    elevation: float = -18.0
+
+
+_LOOK_AT = {
+    WORKSPACE: OwnView(-0.16, 0.0, 1.08, distance=1.45),
+    CLOSEUP: OwnView(0.0, 0.0, 0.99, distance=0.95),
+}
+"""Cameras for robosuite's table at (0, 0, 0.8) m and a base at x = -0.56 m."""
 
 VISUAL_GROUP = 1
 """Group of the geoms that are drawn; robosuite: 0 collision, 1 visual, 2 mouse."""
+
+
+def own_view(camera: str) -> OwnView:
+    """The view of an additional camera."""
+    return _LOOK_AT[camera]
 
 
 def camera_names(model: mujoco.MjModel) -> tuple[str, ...]:
@@ -47,7 +69,7 @@ def hide_decorations(model: mujoco.MjModel) -> None:
 def render_frames(
     model: mujoco.MjModel,
     states: Iterable[np.ndarray],
-    camera: str = WORKSPACE,
+    camera: str | OwnView = WORKSPACE,
     width: int = 640,
     height: int = 480,
     captions: Sequence[Caption] | None = None,
@@ -61,7 +83,7 @@ def render_frames(
     Args:
         model: the model.
         states: qpos [nq] of each frame.
-        camera: one of `camera_names(model)`.
+        camera: one of `camera_names(model)`, or a view of one's own.
         width, height: of a frame [pixels].
         captions: one for each state.
         trail: name of a site; each frame shows its places in the frames before.
@@ -79,9 +101,11 @@ def render_frames(
     return (draw_caption(frame, caption) for frame, caption in pairs)
 
 
-def _view(model: mujoco.MjModel, camera: str) -> mujoco.MjvCamera:
+def _view(model: mujoco.MjModel, camera: str | OwnView) -> mujoco.MjvCamera:
+    if isinstance(camera, OwnView):
+        return _free_view(camera)
     if camera in _LOOK_AT:
-        return _free_view(*_LOOK_AT[camera])
+        return _free_view(_LOOK_AT[camera])
     if camera not in camera_names(model):
         raise unknown("camera", camera, camera_names(model))
     view = mujoco.MjvCamera()
@@ -90,10 +114,10 @@ def _view(model: mujoco.MjModel, camera: str) -> mujoco.MjvCamera:
     return view
 
 
-def _free_view(point: tuple[float, ...], distance: float) -> mujoco.MjvCamera:
+def _free_view(own: OwnView) -> mujoco.MjvCamera:
     view = mujoco.MjvCamera()
-    view.lookat[:] = point
-    view.distance, view.azimuth, view.elevation = distance, 225.0, -18.0
+    view.lookat[:] = own.x, own.y, own.z
+    view.distance, view.azimuth, view.elevation = own[3:]
     return view
 
 

@@ -142,7 +142,8 @@ def _check_options(run: TrainConfig) -> None:
 def _read(run: TrainConfig, variant: str) -> list[Evaluation]:
     path = run.folder / "metrics.csv"
     try:
-        return [_evaluation(run, variant, row) for row in read_metrics(path)]
+        rows = [row for row in read_metrics(path) if row["eval/success_held"]]
+        return [_evaluation(run, variant, row) for row in rows]
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(
             f"{path} is damaged: remove {run.folder} to run it again"

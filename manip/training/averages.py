@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from manip.evaluation.episodes import Episode
+from manip.evaluation.report import SUCCESS
 
 RECENT_EPISODES = 100
 """Finished training episodes that are averaged over."""
@@ -34,18 +35,25 @@ class TrainingAverages:
 
     def values(self) -> dict[str, float]:
         """Column name -> average; empty before the first episode has finished."""
-        return self._of_episodes() | self._of_terms() if self.episodes else {}
+        return self.of_episodes() | self._of_terms() if self.episodes else {}
 
-    def _of_episodes(self) -> dict[str, float]:
+    def of_episodes(self) -> dict[str, float]:
+        """The columns of episodes alone; empty before the first has finished."""
+        if not self.episodes:
+            return {}
         milestones = np.mean([episode.milestones for episode in self.episodes], axis=0)
         return {
             "train/return": float(np.mean([e.total_reward for e in self.episodes])),
-            "train/success": float(np.mean([e.success_at_end for e in self.episodes])),
+            **{f"train/{kind}": self._share(kind) for kind in SUCCESS},
             **{
                 f"train/{name}": float(share)
                 for name, share in zip(self._milestones, milestones, strict=True)
             },
         }
+
+    def _share(self, kind: str) -> float:
+        """Share of the episodes with a kind of success."""
+        return float(np.mean([getattr(e, kind) for e in self.episodes]))
 
     def _of_terms(self) -> dict[str, float]:
         """Mean contribution of each term to a step's reward: weight * term."""

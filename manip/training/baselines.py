@@ -33,18 +33,21 @@ class ExpertPolicy:
 
 @dataclass(frozen=True)
 class RandomPolicy:
-    """Actions drawn evenly from [-1, 1], the same ones in a repeated evaluation."""
+    """Actions drawn evenly from [-1, 1], the same ones when an episode is repeated."""
 
     card: PolicyCard
 
     def acting_in(self, batch: TaskBatch) -> ActionFunction:
         """Random actions of the batch's next episodes."""
-        key = (batch.purpose, int(batch.episode[0]) + 1, batch.num_envs)
-        generator = np.random.default_rng([batch.seed, *key])
-        shape = batch.num_envs, batch.action_dim
+        numbers = batch.first_env + np.arange(batch.num_envs)
+        generators = [
+            np.random.default_rng([batch.seed, batch.purpose, number, episode])
+            for number, episode in zip(numbers, batch.episode + 1, strict=True)
+        ]
 
         def act(_: Mapping[str, Tensor]) -> Tensor:
-            return torch.from_numpy(generator.uniform(-1, 1, shape).astype(np.float32))
+            rows = [each.uniform(-1, 1, batch.action_dim) for each in generators]
+            return torch.from_numpy(np.stack(rows).astype(np.float32))
 
         return act
 

@@ -14,6 +14,7 @@ from manip.agents.policy_card import PolicyCard
 from manip.agents.registry import load_algorithm
 from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
+from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.episode_streams import CHOICE
 from manip.envs.interface import interface_of
 from manip.envs.make_batch import make_batch
@@ -24,6 +25,7 @@ from manip.training.groups import groups_of
 from manip.training.inputs import cameras_of, spaces_of
 from manip.training.randomisation import load_randomisation
 from manip.training.reward_weights import parse_weights
+from manip.training.schedule import has_curve
 from manip.training.teacher import check_teacher, expert_of, with_reference
 from manip.versions import versions
 
@@ -79,7 +81,8 @@ def training_env(config: TrainConfig, group: int, groups: int) -> TaskEnv:
 def evaluation_env(config: TrainConfig) -> TaskEnv:
     """Build the environments of evaluations: exact physics, the task's own horizon.
 
-    Images are of the quality and the looks of training.
+    Images are of the quality and the looks of training, and what is randomised in
+    training is so here: the best policy is chosen for what it was trained for.
     Their episodes serve to choose the best checkpoint (purpose CHOICE): the run never
     trains on them, and `manip evaluate` reports on others.
     """
@@ -88,8 +91,31 @@ def evaluation_env(config: TrainConfig) -> TaskEnv:
         config.eval_episodes,
         cameras=cameras_of(config),
         looks=config.looks,
+        perturbations=load_randomisation(config.randomise),
         threads=config.threads,
         purpose=CHOICE,
+    )
+    return TaskEnv(batch)
+
+
+def curve_env(config: TrainConfig, training: TaskBatch) -> TaskEnv | None:
+    """Build the environments of light evaluations: physics and length of training.
+
+    Their episodes begin as those of `evaluation_env`, and share the scene of the
+    environments that the run trains in. None if the run has no light evaluations.
+    """
+    if not (config.curve_episodes and has_curve(config.eval_every, config.steps)):
+        return None
+    shared = {"scene": training.scene} if isinstance(training, NativeBatch) else {}
+    batch = _batch(
+        config,
+        config.curve_episodes,
+        cameras=cameras_of(config),
+        fidelity=config.fidelity,
+        threads=config.threads,
+        horizon=config.horizon,
+        purpose=CHOICE,
+        **shared,
     )
     return TaskEnv(batch)
 

@@ -21,7 +21,7 @@ Controller = Literal["OSC_POSE", "OSC_POSITION", "JOINT_POSITION", "JOINT_VELOCI
 
 MAY_CHANGE = {
     *("out", "resume", "steps", "threads", "wandb"),
-    *("eval_every", "eval_episodes", "checkpoint_every", "faults"),
+    *("eval_every", "eval_episodes", "curve_episodes", "checkpoint_every", "faults"),
     *("save_buffer", "preferences"),
 }
 """Options that may change when a run is resumed; the others made it what it is."""
@@ -87,10 +87,15 @@ class TrainConfig:
     randomise: str = ""
     """What differs from episode to episode of the training besides images, such as
     masses, friction and delays (domain randomisation): the name of a shipped list (see
-    `manip list`), or a YAML file of your own. Evaluations have none."""
+    `manip list`), or a YAML file of your own. It also holds for the evaluations that
+    choose the best policy; `manip evaluate` has none."""
     teacher: str | None = None
     """Policy that `--algo bc` imitates instead of the task's expert: a run folder, a
     policy folder or the name of a shipped policy. It sees the whole observation."""
+    dataset: str | None = None
+    """Data set of recorded episodes: a robomimic file, or a LeRobot or Minari folder
+    (docs/datasets.md). `--algo bc` imitates it, without an expert or a simulation;
+    `--algo sac` takes half of each batch from it."""
     horizon: Annotated[int | None, COUNT] = None
     """Length of a training episode [control steps]; the task's own unless given."""
     control_freq: Annotated[int, COUNT] = 20
@@ -128,6 +133,10 @@ class TrainConfig:
     """Control steps between evaluations of the policy; the best one is saved."""
     eval_episodes: Annotated[int, COUNT] = 32
     """Episodes per evaluation: more choose the best policy better, and take longer."""
+    curve_episodes: Annotated[int, Range(0, 10_000)] = 4
+    """Episodes of a light evaluation for the learning curve, in the physics and with
+    the length of training episodes, in each tenth of the run that has no other
+    evaluation; 0 for none. They choose no policy and do not change the run."""
     faults: Literal["survive", "stop"] = "survive"
     """A number that is not finite ends an episode or skips an update (survive), or
     ends the run (stop)."""

@@ -2,14 +2,20 @@
 
 from dataclasses import dataclass, replace
 from math import isfinite
-from typing import Any
+from typing import Any, Literal
 
 from manip.agents.agent import Agent
 from manip.agents.policy import Policy
+from manip.envs.adapters.torchrl import TaskEnv
+from manip.envs.task_batch import TaskBatch
 from manip.evaluation.episodes import run_episodes
 from manip.evaluation.report import summarise
-from manip.training.build import evaluation_env, policy_of
+from manip.training.build import curve_env, evaluation_env, policy_of
 from manip.training.config import TrainConfig
+
+Kind = Literal["eval", "curve"]
+"""eval: chooses the best policy; curve: light, for the learning curve. The columns of
+metrics.csv begin with it."""
 
 
 @dataclass(frozen=True)
@@ -17,13 +23,17 @@ class PolicyEvaluation:
     """A policy and its results over the evaluation's episodes.
 
     Attributes:
+        kind: what it was for.
         policy: as it was evaluated.
+        episodes: their number.
         success: share of the episodes with success_once, success_at_end, success_held.
         mean_return: mean sum of rewards of an episode.
         milestones: share of the episodes that reached each milestone.
     """
 
+    kind: Kind
     policy: Policy
+    episodes: int
     success: dict[str, float]
     mean_return: float
     milestones: dict[str, float]
@@ -34,45 +44,63 @@ class PolicyEvaluation:
         return [self.success["success_held"], self.mean_return]
 
     def row(self) -> dict[str, float]:
-        """The `eval/` columns of metrics.csv."""
+        """The `eval/` or `curve/` columns of metrics.csv."""
         values = self.success | {"return": self.mean_return} | self.milestones
-        return {f"eval/{name}": value for name, value in values.items()}
+        return {f"{self.kind}/{name}": value for name, value in values.items()}
 
     def line(self, seconds: float) -> str:
         """Describe the results in one line; `seconds` of training have passed."""
+        light = f"  ({self.episodes} episodes)" if self.kind == "curve" else ""
         shares = "  ".join(f"{n} {share:.0%}" for n, share in self.milestones.items())
         return (
             f"step {self.policy.card.env_steps:>9,}  {seconds:6.0f} s  "
-            f"success held {self.success['success_held']:4.0%}  "
-            f"return {self.mean_return:5.1f}  milestones {shares}"
+            f"success_held {self.success['success_held']:4.0%}  "
+            f"return {self.mean_return:5.1f}  milestones {shares}{light}"
         )
 
 
 class Evaluator:
-    """Evaluate policies in exact physics, each over the same episodes.
+    """Evaluate policies, each over the same episodes.
+
+    Args:
+        config: options of the run.
+        training: the environments that it learns from.
 
     Attributes:
-        env: the evaluation's environments.
+        env: environments of the evaluations that choose the best policy: exact physics
+            and the task's own length of an episode.
     """
 
-    def __init__(self, config: TrainConfig) -> None:
+    def __init__(self, config: TrainConfig, training: TaskBatch) -> None:
         self._config = config
         self.env = evaluation_env(config)
+        self._curve_env = curve_env(config, training)
 
     def __call__(self, agent: Agent, env_steps: int) -> PolicyEvaluation:
         """Evaluate an agent's policy after `env_steps` control steps of training."""
+        return self._evaluate("eval", agent, env_steps, self.env)
+
+    def light(self, agent: Agent, env_steps: int) -> PolicyEvaluation | None:
+        """Evaluate it in short, over few episodes; None if the run is not to."""
+        env = self._curve_env
+        return env and self._evaluate("curve", agent, env_steps, env)
+
+    def _evaluate(
+        self, kind: Kind, agent: Agent, env_steps: int, env: TaskEnv
+    ) -> PolicyEvaluation:
         policy = policy_of(agent, self._config, self.env, env_steps)
-        self.env.batch.restart()
-        episodes = run_episodes(self.env, policy, self._config.eval_episodes)
-        milestones = self.env.batch.task.milestone_names
-        result: dict[str, Any] = summarise(episodes, milestones)
-        success = {kind: rate.rate for kind, rate in result["success"].items()}
+        env.batch.restart()
+        episodes = run_episodes(env, policy, env.batch.num_envs)
+        result: dict[str, Any] = summarise(episodes, env.batch.task.milestone_names)
+        success = {name: rate.rate for name, rate in result["success"].items()}
         mean_return = result["return_mean"]
         values = {"episodes": len(episodes), **success}
         if isfinite(mean_return):
             values["return"] = mean_return
         return PolicyEvaluation(
+            kind=kind,
             policy=replace(policy, card=replace(policy.card, evaluation=values)),
+            episodes=len(episodes),
             success=success,
             mean_return=mean_return,
             milestones=result["milestones"],

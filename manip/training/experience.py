@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from statistics import fmean
 from typing import Any
 
@@ -26,6 +27,35 @@ class Experience:
     steps: int
     episodes: list[Episode]
     reward_terms: list[float]
+
+
+def by_time(experience: Experience, parts: int) -> list[tuple[int, list[Episode]]]:
+    """The episodes of a rollout, by the part of its control steps in which they ended.
+
+    Args:
+        experience: a rollout whose batch [N, T] may lack the ends of episodes, as that
+            of an algorithm which learned while it collected.
+        parts: number of parts of about equal length; fewer if there are fewer steps.
+
+    Returns:
+        control steps of all environments up to the end of each part, and its episodes;
+        one part only if the batch does not say when episodes ended.
+    """
+    whole = [(experience.steps, experience.episodes)]
+    done = experience.batch.get(("next", "done"), None)
+    if done is None or parts == 1:
+        return whole
+    num_envs, length, _ = done.shape
+    parts = min(parts, length)
+    ended, env_ids = done.squeeze(-1).T.nonzero().T.tolist()
+    if [episode.env_id for episode in experience.episodes] != env_ids:
+        return whole  # of several collectors, one after another
+    ends = [-(-length * part // parts) for part in range(parts + 1)]
+    pairs = list(zip(ended, experience.episodes, strict=True))
+    return [
+        (num_envs * end, [episode for step, episode in pairs if start <= step < end])
+        for start, end in pairwise(ends)
+    ]
 
 
 def joined(parts: Sequence[Experience]) -> Experience:

@@ -18,6 +18,7 @@ from manip.evaluation.runners import EpisodeSettings, Progress, evaluate_policy
 from manip.preferences.tastes import load_taste
 from manip.sim.scene import Fidelity
 from manip.training.baselines import AnyPolicy, Baseline, load_baseline
+from manip.training.checkpoint_policy import is_checkpoint, policy_of_checkpoint
 from manip.versions import versions
 
 MOST_EPISODES = 100_000
@@ -60,11 +61,13 @@ def load_policy_and_task(
 
 
 def load_run(run: Path) -> tuple[Policy, Task]:
-    """The policy of a run folder, policy folder or shipped name, and its task.
+    """The policy of a run, policy folder, checkpoint or shipped name, and its task.
 
     Raises:
         UserError: there is no such policy or task.
     """
+    if is_checkpoint(run):
+        return policy_of_checkpoint(run)
     policy = load_policy(run)
     return policy, load_task_named_by(run, policy.card.task)
 

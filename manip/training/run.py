@@ -96,6 +96,7 @@ def train(
         )
         with closing(trainer):
             finished = trainer.run()
+            _draw_learning_curve(trainer)
     return _result(trainer, finished)
 
 
@@ -123,11 +124,19 @@ def _result(trainer: Trainer, finished: bool) -> RunResult:
     )
 
 
+def _draw_learning_curve(trainer: Trainer) -> None:
+    from manip.evaluation.learning_curve import plot_learning_curve  # matplotlib
+
+    config, rows = trainer.config, trainer.state.rows
+    title = f"{config.task}, {config.robot}, {config.method}, seed {config.seed}"
+    plot_learning_curve(rows, title, trainer.folder / "learning_curve.png")
+
+
 def _success(rows: Sequence[dict[str, float]], best: list[float]) -> dict[str, float]:
     """Success of the evaluation with the best score."""
     kinds = ("success_once", "success_at_end", "success_held")
     for row in rows:
-        if [row["eval/success_held"], row["eval/return"]] == best:
+        if [row.get("eval/success_held"), row.get("eval/return")] == best:
             return {kind: row[f"eval/{kind}"] for kind in kinds}
     return {}
 

@@ -16,7 +16,7 @@ FOLDERS = ("checkpoints", "tensorboard", "policy", "dumps")
 """Subfolders that a run writes to."""
 
 FILES = (
-    *("run.lock", "config.yaml", "metrics.csv"),
+    *("run.lock", "config.yaml", "metrics.csv", "learning_curve.png"),
     *(f"checkpoints/{name}.safetensors" for name in ("latest", "previous", "best")),
     *("policy/policy.safetensors", "policy/policy.json"),
 )

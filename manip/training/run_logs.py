@@ -7,15 +7,22 @@ from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
-
-from torchrl.record.loggers import Logger, TensorboardLogger
 
 from manip.errors import UserError, one_line
 from manip.io.atomic_files import replace_file
+from manip.training.tensorboard_log import TensorboardLog
+
+if TYPE_CHECKING:
+    from torchrl.record.loggers import WandbLogger
 
 Row = Mapping[str, float]
 """Name -> value of the scalars logged at one time, `env_steps` among them."""
+
+
+RENAMED = {"train/success": "train/success_at_end"}
+"""Column of earlier versions -> its name today."""
 
 
 class MetricsTable:
@@ -70,6 +77,32 @@ def read_metrics(path: Path) -> list[dict[str, str]]:
     return rows
 
 
+def read_numbers(path: Path) -> list[dict[str, float]]:
+    """Rows of a run's metrics.csv as numbers, under today's names of the columns.
+
+    A column that a row has no value for is left out of it.
+
+    Raises:
+        UserError: it is no table of numbers, or a row does not say its `env_steps`.
+    """
+    try:
+        return [
+            renamed({name: float(value) for name, value in row.items() if value})
+            for row in read_metrics(path)
+        ]
+    except (TypeError, ValueError) as error:
+        raise UserError(f"{path} is damaged: {one_line(error)}") from error
+
+
+def renamed(row: Row) -> dict[str, float]:
+    """A row of an earlier version under today's names of the columns.
+
+    A name that has today's beside it is a milestone's.
+    """
+    old = {name for name, new in RENAMED.items() if name in row and new not in row}
+    return {RENAMED[n] if n in old else n: value for n, value in row.items()}
+
+
 def check_wandb(project: str | None) -> None:
     """Check that a run can log to Weights & Biases, if it is to, before it begins.
 
@@ -117,6 +150,7 @@ class RunLog:
         folder: the run folder.
         rows: rows up to the checkpoint that the run continues from; the logs are
             written anew from them, so that each row is there once.
+        options: of the run, as plain values.
         wandb_project: Weights & Biases project to log to, too.
 
     Raises:
@@ -124,17 +158,19 @@ class RunLog:
     """
 
     def __init__(
-        self, folder: Path, rows: Sequence[Row], wandb_project: str | None
+        self,
+        folder: Path,
+        rows: Sequence[Row],
+        options: Mapping[str, Any],
+        wandb_project: str | None,
     ) -> None:
         self._table = MetricsTable(folder / "metrics.csv", rows)
-        for events in (folder / "tensorboard").glob("events.out.tfevents.*"):
-            events.unlink()
-        self._board = TensorboardLogger("tensorboard", log_dir=str(folder))
-        self._loggers: list[Logger] = [self._board]
+        self._board = TensorboardLog(folder, options)
         for row in rows:
-            _log(self._board, row)
+            self._board.write(row)
+        self._wandb: WandbLogger | None = None
         if wandb_project:
-            self._loggers.append(_wandb_logger(folder, wandb_project))
+            self._wandb = _wandb_logger(folder, wandb_project, options)
 
     def __enter__(self) -> "RunLog":
         return self
@@ -145,25 +181,24 @@ class RunLog:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._board.experiment.close()
+        self._board.close()
 
     def write(self, row: Row) -> None:
         """Log a row of scalars."""
         self._table.add(row)
-        for logger in self._loggers:
-            _log(logger, row)
+        self._board.write(row)
+        if self._wandb:
+            self._wandb.log_metrics(dict(row), step=int(row["env_steps"]))
 
 
-def _wandb_logger(folder: Path, project: str) -> Logger:
+def _wandb_logger(
+    folder: Path, project: str, options: Mapping[str, Any]
+) -> "WandbLogger":
     from torchrl.record.loggers import WandbLogger  # an optional extra
 
     try:
-        return WandbLogger(folder.name, project=project, save_dir=str(folder))
+        logger = WandbLogger(folder.name, project=project, save_dir=str(folder))
+        logger.log_hparams(dict(options))
     except Exception as error:  # wandb has many, none of them documented
         raise UserError(f"--wandb {project}: {one_line(error)}") from error
-
-
-def _log(logger: Logger, row: Row) -> None:
-    for name, value in row.items():
-        if name != "env_steps":
-            logger.log_scalar(name, value, step=int(row["env_steps"]))
+    return logger

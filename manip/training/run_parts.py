@@ -11,6 +11,7 @@ from manip.training.averages import TrainingAverages
 from manip.training.build import build_agent, overlaps, training_envs
 from manip.training.collector import Collector, Order, Rollout, RolloutSource
 from manip.training.config import TrainConfig
+from manip.training.demonstrations import check_dataset, use_dataset
 from manip.training.evaluator import Evaluator
 from manip.training.fault_report import FaultReport
 from manip.training.initial_policy import start_agent
@@ -85,11 +86,13 @@ def build_parts(
         UserError: an option does not fit, or there is not enough memory.
     """
     check_preferences(config)
+    check_dataset(config)
     envs = training_envs(config)
-    evaluator = Evaluator(config)
+    evaluator = Evaluator(config, envs[0].batch)
     check_memory(config, spaces_of(config, evaluator.env))
     agent = build_agent(config, evaluator.env)
     notes = [*start_agent(config, agent, evaluator.env), *_gradient_notes(config)]
+    recorded = use_dataset(config, agent, envs)
     agent = with_preferences(config, agent, envs[0])
     guard = NanGuard(agent.optimisers(), config.faults == "stop")
     milestones = evaluator.env.batch.task.milestone_names
@@ -101,7 +104,11 @@ def build_parts(
         agent=agent,
         evaluator=evaluator,
         collector=Collector(
-            place(config, envs), agent, overlaps(config), reward, _order(config)
+            recorded or place(config, envs),
+            agent,
+            overlaps(config),
+            reward,
+            _order(config),
         ),
         guard=guard,
         averages=TrainingAverages(milestones, weights),

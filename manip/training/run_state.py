@@ -7,6 +7,7 @@ from typing import Any
 from manip.errors import MOST, UserError
 from manip.evaluation.episodes import Episode
 from manip.io.dataclass_values import build
+from manip.training.run_logs import renamed
 
 
 @dataclass
@@ -55,6 +56,7 @@ def run_state(values: Any, milestones: int, terms: int) -> RunState:
         raise UserError("the run's state must be a mapping with a list of episodes")
     episodes = [episode_of(episode, milestones) for episode in values["episodes"]]
     state = build(RunState, values | {"episodes": episodes})
+    state.rows = [renamed(row) for row in state.rows]
     missing = RunState().to_dict().keys() - values.keys()
     _require(not missing, f"{', '.join(sorted(missing))} is missing")
     _check_numbers(state)

@@ -24,7 +24,8 @@ def check_teacher(config: TrainConfig) -> None:
     Raises:
         UserError: experts act in another action space; the algorithm does not imitate.
     """
-    if config.teacher is None and imitates(config) and config.controller != "OSC_POSE":
+    acts = config.teacher is None and config.dataset is None and imitates(config)
+    if acts and config.controller != "OSC_POSE":
         raise UserError(
             f"experts give OSC_POSE actions, not {config.controller}: choose another "
             f"algorithm than {config.algo}, or a trained policy by --teacher"
@@ -40,7 +41,7 @@ def expert_of(config: TrainConfig, batch: TaskBatch) -> Policy | bool:
         UserError: there is no such policy, or it does not fit the run.
     """
     if config.teacher is None:
-        return imitates(config)
+        return imitates(config) and config.dataset is None
     return fitting_policy(config.teacher, config, batch)
 
 

@@ -89,8 +89,8 @@ class TerminalProgress:
 
 def _line(progress: RunProgress) -> str:
     line = f"{progress.steps_per_second:,.0f} steps/s"
-    if "train/success" not in progress.averages:
+    if "train/success_held" not in progress.averages:
         return line
-    for name in ("success", *progress.milestones):
+    for name in (*progress.milestones, "success_held"):
         line += f"  {name} {progress.averages[f'train/{name}']:.0%}"
     return line

@@ -6,9 +6,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from manip.errors import UserError, one_line, out_of_memory
+from manip.evaluation.diagnosis import diagnose
 from manip.rewards.reward_function import RewardFunction
 from manip.training.checkpoint import Checkpoints, SaveTimer, bytes_of
-from manip.training.config import TrainConfig
+from manip.training.config import TrainConfig, to_dict
+from manip.training.evaluator import PolicyEvaluation
+from manip.training.experience import Experience, by_time
 from manip.training.lifecycle import SignalHandler, locked
 from manip.training.progress import Callback, Progress
 from manip.training.resume import checkpoint_of, resume
@@ -16,6 +19,7 @@ from manip.training.run_folder import check_run_folder, prepare
 from manip.training.run_logs import RunLog, check_wandb
 from manip.training.run_parts import Place, build_parts, here
 from manip.training.run_state import RunState
+from manip.training.schedule import curve_due, next_choice, row_due, rows_in
 
 
 class Trainer:
@@ -75,7 +79,8 @@ class Trainer:
                 prepare(self.config)
                 if not self.config.resume:
                     self._save()  # from now on, a run that ends can be resumed
-                log = RunLog(self.folder, self.state.rows, self.config.wandb)
+                options = to_dict(self.config)
+                log = RunLog(self.folder, self.state.rows, options, self.config.wandb)
                 with log as self._log:
                     self._train()
         return self._complete
@@ -100,17 +105,30 @@ class Trainer:
         if self.config.init is not None and not self.state.rows:
             self._save(best=self._evaluate())  # the initial policy may stay the best
         while not (self._complete or self.stopping or self._waits()):
-            due = self._next_evaluation()
-            used = time.process_time()
+            before, used = self.state.env_steps, time.process_time()
             self._advance()
             self.state.cpu_seconds += time.process_time() - used
             self.state.seconds = time.monotonic() - self._clock
             self._report(*self.parts.messages())
-            if self.state.env_steps >= due:
-                self._save(best=self._evaluate())
-            elif self._save_timer.due():
-                self._save()
+            self._evaluate_or_log(before)
         self._end()
+
+    def _evaluate_or_log(self, before: int) -> None:
+        """Evaluate, log and save what is due after the rollout from step `before`."""
+        now, steps = self.state.env_steps, self.config.steps
+        every = self.config.eval_every
+        if now >= next_choice(before, every, steps):
+            self._save(best=self._evaluate())
+            return
+        light = curve_due(before, now, every, steps) and self.parts.evaluator.light(
+            self.parts.agent, now
+        )
+        if light:
+            self._log_evaluation(light)
+        elif row_due(before, now, steps):
+            self._log_row({})
+        if self._save_timer.due():
+            self._save()
 
     def _waits(self) -> bool:
         """Whether the agent waits for something that the run cannot go on without."""
@@ -128,11 +146,22 @@ class Trainer:
     def _advance(self) -> None:
         """Collect one rollout and learn from it."""
         experience = self.parts.collector.next()
-        self.state.env_steps += experience.steps
-        self.parts.averages.add(experience.episodes, experience.reward_terms)
+        self._add(experience)
         self._set_learning_rates()
         learned = self.parts.agent.update(experience.batch)
         self.state.learned |= self.parts.guard.finite(learned)
+
+    def _add(self, experience: Experience) -> None:
+        """Add a rollout to counters and averages; log rows within it in short runs."""
+        averages, begun = self.parts.averages, self.state.env_steps
+        parts = rows_in(experience.steps, self.config.steps)
+        *earlier, (_, episodes) = by_time(experience, parts)
+        for steps, ended in earlier:
+            averages.episodes.extend(ended)
+            clocks = self._clocks(begun + steps)
+            self._write_row(clocks | averages.of_episodes())
+        averages.add(episodes, experience.reward_terms)
+        self.state.env_steps += experience.steps
 
     def _set_learning_rates(self) -> None:
         """Let learning rates fall linearly to zero over the last `cool_down` share."""
@@ -143,18 +172,13 @@ class Trainer:
             for group in optimiser.param_groups:
                 group["lr"] = share * group.setdefault("initial_lr", group["lr"])
 
-    def _next_evaluation(self) -> int:
-        every = self.config.eval_every
-        return min((self.state.env_steps // every + 1) * every, self.config.steps)
-
     def _evaluate(self) -> bool:
         """Evaluate the policy, and save it if it is the best; return whether it is.
 
         With preferences or a taste the latest is: evaluations know nothing of these.
         """
         evaluation = self.parts.evaluator(self.parts.agent, self.state.env_steps)
-        self._log_row(evaluation.row())
-        self._report(evaluation.line(self.state.seconds))
+        self._log_evaluation(evaluation)
         best = not self.state.best or evaluation.score > self.state.best
         best |= self.config.preferences is not None or bool(self.config.taste)
         if best:
@@ -162,19 +186,33 @@ class Trainer:
             evaluation.policy.save(self.folder / "policy")
         return best
 
+    def _log_evaluation(self, evaluation: PolicyEvaluation) -> None:
+        self._log_row(evaluation.row())
+        milestones, steps = self.parts.milestones, self.config.steps
+        diagnosis = diagnose(self.state.rows, milestones, steps)
+        words = [diagnosis.words] if diagnosis else []
+        self._report(evaluation.line(self.state.seconds), *words)
+
     def _log_row(self, evaluation: dict[str, float]) -> None:
-        state = self.state
-        row = {
-            "env_steps": state.env_steps,
-            "seconds": state.seconds,
-            "cpu_seconds": state.cpu_seconds,
+        learned = self.state.learned.items()
+        self._write_row(
+            self._clocks(self.state.env_steps)
+            | self.parts.averages.values()
+            | evaluation
+            | {f"learn/{name}": value for name, value in learned}
+        )
+
+    def _clocks(self, env_steps: int) -> dict[str, float]:
+        return {
+            "env_steps": env_steps,
+            "seconds": self.state.seconds,
+            "cpu_seconds": self.state.cpu_seconds,
             "steps_per_second": self._speed(),
             "faults": self.parts.faults.count(),
-            **self.parts.averages.values(),
-            **evaluation,
-            **{f"learn/{name}": value for name, value in state.learned.items()},
         }
-        state.rows.append(row)
+
+    def _write_row(self, row: dict[str, float]) -> None:
+        self.state.rows.append(row)
         self._log.write(row)
 
     def _save(self, best: bool = False) -> None:

@@ -1,0 +1,1 @@
+"""Recorded episodes, and the files of other projects that hold them."""
