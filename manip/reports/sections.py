@@ -96,7 +96,7 @@ class RunSection:
     charts: list[Markup]
     learner: list[Markup]
     train: str | None
-    evaluate: list[str]
+    evaluate: str
     options: list[tuple[str, str, bool]]
     replays: Replays | None
 
@@ -133,10 +133,15 @@ def make_section(
         charts=training_charts(record),
         learner=learner_charts(record),
         train=train_command(record.config) if record.config else None,
-        evaluate=evaluate_commands(record, len(episodes), settings.seed),
+        evaluate=evaluate_commands(record, settings, _first_shown(episodes)),
         options=_options(record),
         replays=replays,
     )
+
+
+def _first_shown(episodes: Sequence[Episode]) -> int:
+    """Number of the first episode without success_held, or of the first of all."""
+    return next((e.index for e in episodes if not e.success_held), 0)
 
 
 def _advice(record: RunRecord, stages: Sequence[Stage]) -> list[str]:
