@@ -391,3 +391,26 @@ def test_without_a_render_mode_nothing_is_drawn() -> None:
     env = TaskEnv("Reach")
     env.reset()
     assert env.render() is None
+
+
+def test_what_a_vector_environment_cannot_do_is_explained() -> None:
+    with pytest.raises(UserError, match="choose vectorization_mode='sync'"):
+        gymnasium.make_vec("manip/Reach-v0", num_envs=2, render_mode="rgb_array")
+    with pytest.raises(UserError, match="use max_episode_steps"):
+        gymnasium.make_vec("manip/Reach-v0", num_envs=2, horizon=5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("backend", ["native", "stock"])
+def test_a_program_ends_cleanly_with_a_renderer_open(backend: str) -> None:
+    code = f"""
+import gymnasium, manip.envs.adapters.gymnasium
+env = gymnasium.make("manip/Lift-v0", backend={backend!r}, render_mode="rgb_array")
+env.reset(seed=0)
+print(env.render().shape)
+"""
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True
+    )
+    assert (done.returncode, done.stdout) == (0, "(480, 640, 3)\n"), done.stderr
+    assert "Traceback" not in done.stderr

@@ -81,7 +81,8 @@ def training_env(config: TrainConfig, group: int, groups: int) -> TaskEnv:
 def evaluation_env(config: TrainConfig) -> TaskEnv:
     """Build the environments of evaluations: exact physics, the task's own horizon.
 
-    Images are of the quality and the looks of training.
+    Images are of the quality and the looks of training, and what is randomised in
+    training is so here: the best policy is chosen for what it was trained for.
     Their episodes serve to choose the best checkpoint (purpose CHOICE): the run never
     trains on them, and `manip evaluate` reports on others.
     """
@@ -90,6 +91,7 @@ def evaluation_env(config: TrainConfig) -> TaskEnv:
         config.eval_episodes,
         cameras=cameras_of(config),
         looks=config.looks,
+        perturbations=load_randomisation(config.randomise),
         threads=config.threads,
         purpose=CHOICE,
     )

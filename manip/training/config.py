@@ -87,7 +87,8 @@ class TrainConfig:
     randomise: str = ""
     """What differs from episode to episode of the training besides images, such as
     masses, friction and delays (domain randomisation): the name of a shipped list (see
-    `manip list`), or a YAML file of your own. Evaluations have none."""
+    `manip list`), or a YAML file of your own. It also holds for the evaluations that
+    choose the best policy; `manip evaluate` has none."""
     teacher: str | None = None
     """Policy that `--algo bc` imitates instead of the task's expert: a run folder, a
     policy folder or the name of a shipped policy. It sees the whole observation."""

@@ -11,26 +11,28 @@ Importing this module registers every task as `manip/<task>-v0`::
 `info` holds `success`, and `milestones` and `reward_terms` by their names. A time limit
 is a truncation, and so is a simulation that diverges.
 
-Options of both functions::
+Options of both functions; docs/gymnasium.md explains them:
 
     robot             arm name, or RobotConfig(arm, controller, control_freq)
+    backend           "native", or "stock" (robosuite, one environment)
     reward            reward set: "shaped" or "stock"
     reward_weights    {term: weight} that replace those of the set
-    fidelity          "exact" or "fast" physics (batch engine)
-    threads           native threads (batch engine)
-    stagger           begin the first episodes at random times (batch engine)
-    restart_fraction  fraction of episodes from visited states (batch engine)
     max_episode_steps length of an episode [control steps]; the task's own by default
+    fidelity          "exact" or "fast" physics (native)
+    threads           native threads (native)
+    stagger           begin the first episodes at random times (native)
+    restart_fraction  fraction of episodes from visited states (native)
+    hard_reset        rebuild the model at every reset (stock)
+    perturbations     what differs from the nominal task (`manip.envs.perturbation`)
     cameras           cameras to observe; the observation is then a dict (see
                       `manip.envs.adapters.gymnasium_observations`)
     image_size        height and width of an image [pixels], 64 by default
     image_quality     "exact" (robosuite's images) or "lean" (cheaper, to train on)
     frames            number of latest images that are stacked, 1 by default
+    looks             strength of random changes of the images, or a suite (native)
 
-Of `gymnasium.make`, and `make_vec(..., vectorization_mode="sync" | "async")`, only::
+Of `gymnasium.make`, and `make_vec(..., vectorization_mode="sync" | "async")`, only:
 
-    backend           "native" or "stock"
-    hard_reset        rebuild the model at every reset (stock)
     render_mode       "rgb_array" to render
 """
 
@@ -91,6 +93,11 @@ class TaskVectorEnv(VectorEnv):
         **options: Any,
     ) -> None:
         _check_names(options)
+        if options.pop("render_mode", None):
+            raise UserError(
+                "the vector environment does not render: choose "
+                "vectorization_mode='sync', or make one environment"
+            )
         options = with_cameras(options)
         self.batch = make_batch(
             task, num_envs, horizon=max_episode_steps, seed=0, **options
