@@ -252,6 +252,31 @@ def test_options_that_do_not_fit_a_dataset_are_refused(change, message) -> None:
         check_dataset(config)
 
 
+def cut_off(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-20])
+
+
+@pytest.mark.parametrize(
+    ("name", "damage"),
+    [
+        ("data/chunk-000/file-000.parquet", cut_off),
+        ("data/chunk-000/file-000.parquet", Path.unlink),
+        ("meta/episodes/chunk-000/file-000.parquet", Path.unlink),
+        ("meta/info.json", cut_off),
+        (
+            "videos/observation.images.front/chunk-000/file-000.mp4",
+            lambda path: path.write_bytes(b"\0" * 99),
+        ),
+    ],
+)
+def test_a_damaged_lerobot_folder_is_one_line(name, damage, episodes, tmp_path) -> None:
+    WRITERS["lerobot"](tmp_path, episodes[0], iter(episodes[1]))
+    damage(tmp_path / name)
+    with pytest.raises(DamagedError, match=f"{tmp_path}") as error:
+        read_dataset(tmp_path)
+    assert "\n" not in str(error.value)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("algo", ["bc", "sac"])
 def test_a_run_of_a_dataset_continues_bit_for_bit(algo, episodes, tmp_path) -> None:
