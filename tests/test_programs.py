@@ -343,6 +343,8 @@ def test_without_a_display_there_is_no_window(manip, run, monkeypatch) -> None:
         monkeypatch.delenv(variable, raising=False)
     monkeypatch.setattr(platform, "system", lambda: "Linux")
     assert "no display (DISPLAY is not set)" in refusal(manip("view", str(run)))
+    monkeypatch.setenv("DISPLAY", ":99")
+    assert "GLFW does not find a display" in refusal(manip("view", str(run)))
 
 
 def with_card(run: Path, folder: Path, **changes: object) -> Path:
