@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
@@ -251,19 +252,51 @@ def test_options_that_do_not_fit_a_dataset_are_refused(change, message) -> None:
         check_dataset(config)
 
 
+def cut_off(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-20])
+
+
+@pytest.mark.parametrize(
+    ("name", "damage"),
+    [
+        ("data/chunk-000/file-000.parquet", cut_off),
+        ("data/chunk-000/file-000.parquet", Path.unlink),
+        ("meta/episodes/chunk-000/file-000.parquet", Path.unlink),
+        ("meta/info.json", cut_off),
+        (
+            "videos/observation.images.front/chunk-000/file-000.mp4",
+            lambda path: path.write_bytes(b"\0" * 99),
+        ),
+    ],
+)
+def test_a_damaged_lerobot_folder_is_one_line(name, damage, episodes, tmp_path) -> None:
+    WRITERS["lerobot"](tmp_path, episodes[0], iter(episodes[1]))
+    damage(tmp_path / name)
+    with pytest.raises(DamagedError, match=f"{tmp_path}") as error:
+        read_dataset(tmp_path)
+    assert "\n" not in str(error.value)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("algo", ["bc", "sac"])
-def test_a_run_learns_from_a_dataset_and_repeats(algo, episodes, tmp_path) -> None:
+def test_a_run_of_a_dataset_continues_bit_for_bit(algo, episodes, tmp_path) -> None:
     recording, stored = episodes
     path = WRITERS["robomimic"](tmp_path / "data", recording, iter(stored))
     common = recipe("Lift", algo)
     config = replace(
         common, dataset=str(path), num_envs=8, eval_episodes=2, steps=6000, threads=2
     )
-    folders = [tmp_path / name for name in "ab"]
-    for folder in folders:
-        assert train(replace(config, out=folder)).finished
-    first, second = (f / "policy/policy.safetensors" for f in folders)
+    whole, stopped, stop = tmp_path / "a", tmp_path / "b", Event()
+
+    def stop_halfway(progress) -> None:
+        if progress.env_steps >= 3000:
+            stop.set()
+
+    assert train(replace(config, out=whole)).finished
+    half = replace(config, out=stopped)
+    assert not train(half, callback=stop_halfway, stop=stop).finished
+    assert train(replace(half, resume=True)).finished
+    first, second = (f / "policy/policy.safetensors" for f in (whole, stopped))
     assert first.read_bytes() == second.read_bytes()
     with pytest.raises(UserError, match="its task is Lift, not Stack"):
         train(replace(config, task="Stack", out=tmp_path / "c"))

@@ -261,6 +261,17 @@ def test_a_rotation_vector_becomes_a_matrix() -> None:
 
 
 @pytest.mark.slow
+def test_the_runner_drives_stock_robosuite_over_a_pipe(exported: Path) -> None:
+    program = ROOT / "docs/real_arm/drive_stock.py"
+    done = subprocess.run(
+        [sys.executable, program, "Lift", exported, "--episodes", "1"],
+        capture_output=True,
+        text=True,
+    )
+    assert "over the pipe 1, in this process 1 of 1" in done.stdout, done.stderr
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", shipped_policies())
 def test_shipped_cards_are_up_to_date(name: str) -> None:
     card = load_policy(name).card

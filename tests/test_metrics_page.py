@@ -5,6 +5,8 @@ from pathlib import Path
 
 from training_runs import by_algorithm, finished
 
+from manip.envs.external_task import ExternalTask
+from manip.envs.task_registry import load_task, task_names
 from manip.training.run_logs import read_metrics
 
 PAGE = Path(__file__).parents[1] / "docs" / "metrics.md"
@@ -26,3 +28,15 @@ def test_every_column_of_a_run_is_explained(algo: str) -> None:
     missing = [n for n in row if not any(re.fullmatch(p, n) for p in patterns)]
     assert len(row) > 15
     assert missing == []
+
+
+def test_milestones_and_reward_terms_of_every_task_are_listed() -> None:
+    text, tasks = PAGE.read_text(encoding="utf-8"), map(load_task, task_names())
+    rows = [
+        f"| {task.name} | {', '.join(task.milestone_names)} | "
+        f"{', '.join(task.weights['shaped'])} |\n"
+        for task in tasks
+        if not isinstance(task, ExternalTask)
+    ]
+    assert len(rows) > 10
+    assert [row for row in rows if row not in text] == []

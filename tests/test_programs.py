@@ -203,6 +203,15 @@ def test_render_shows_two_policies_side_by_side(manip: Manip, run: Path) -> None
         assert np.abs(picture[:, 0] - picture[:, 1]).mean() < 5  # coded by H.264
 
 
+def test_report_writes_a_page(manip: Manip, run: Path) -> None:
+    result = manip("report", str(run), "--episodes", "2")
+    assert (result.code, result.out[:13]) == (0, "report.html (")
+    page = Path("report.html").read_text(encoding="utf-8")
+    assert "of 2 episodes end in success" in page
+    assert "manip train --task Reach --algo ppo" in page
+    assert f"manip report {run} --episodes 2" in page
+
+
 @pytest.mark.parametrize("program", sorted(main.PROGRAMS))
 def test_every_program_explains_itself(program: str, manip: Manip) -> None:
     result = manip(program, "--help")
@@ -291,6 +300,10 @@ def refusal(result: Result) -> str:
         ("evaluate RUN --seed -1", "--seed must be at least 0, not -1"),
         ("render nowhere", "nowhere holds no policy"),
         ("render RUN --before Lift", "--before is a policy for Lift, and the other"),
+        ("report", "name 1 to 20 runs, not 0"),
+        ("report nowhere", "nowhere holds no policy"),
+        ("report RUN --out page.pdf", "known file formats: .html"),
+        ("report RUN --episodes 0", "--episodes must be at least 1, not 0"),
         ("render RUN --steps 0", "--steps must be at least 1, not 0"),
         ("render RUN --fps 0", "--fps must be from 0.01 to 1000, not 0"),
         ("render RUN --view 1 2", "--view must be four to six numbers"),
@@ -330,6 +343,8 @@ def test_without_a_display_there_is_no_window(manip, run, monkeypatch) -> None:
         monkeypatch.delenv(variable, raising=False)
     monkeypatch.setattr(platform, "system", lambda: "Linux")
     assert "no display (DISPLAY is not set)" in refusal(manip("view", str(run)))
+    monkeypatch.setenv("DISPLAY", ":99")
+    assert "GLFW does not find a display" in refusal(manip("view", str(run)))
 
 
 def with_card(run: Path, folder: Path, **changes: object) -> Path:

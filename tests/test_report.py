@@ -23,6 +23,7 @@ from manip.reports.funnel import describe, funnel
 from manip.reports.line_chart import HEIGHT, WIDTH, Axis, Line, line_chart
 from manip.reports.replays import chosen_episodes
 from manip.sim.triangles import Triangles, geom_triangles, primitive_triangles
+from manip.training.run_logs import renamed
 
 
 @pytest.fixture(scope="module")
@@ -215,6 +216,13 @@ def test_charts_stay_inside_their_frame() -> None:
     ):
         assert 0 <= float(x) <= WIDTH
         assert 0 <= float(y) <= HEIGHT
+
+
+def test_a_milestone_called_success_is_not_renamed() -> None:
+    old = renamed({"env_steps": 1.0, "train/success": 0.5})
+    assert old == {"env_steps": 1.0, "train/success_at_end": 0.5}
+    new = {"env_steps": 1.0, "train/success": 0.5, "train/success_at_end": 0.2}
+    assert renamed(new) == new
 
 
 def test_the_page_lists_every_episode() -> None:

@@ -35,7 +35,7 @@ def read_lerobot(folder: Path) -> tuple[Recording, list[StoredEpisode]]:
         return _read(folder)
     except UserError as error:
         raise DamagedError(f"{folder}: {error}") from error
-    except (OSError, KeyError, ValueError, TypeError) as error:
+    except Exception as error:  # a file can hold anything
         raise DamagedError(f"{folder} is damaged: {one_line(error)}") from error
 
 

@@ -13,7 +13,7 @@ USUAL = 0.5
 RISE = 0.05
 """A milestone's rate rises when it is this much above that of its last rise."""
 
-PATIENCE = 0.2
+PATIENCE = 1 / 3
 """Share of a run after which a rate that has not risen counts as stuck."""
 
 LOST = 0.5

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from typing import Any
 
+from manip.evaluation.runners import EpisodeSettings
 from manip.reports.run_record import RunRecord
 from manip.training.config import TrainConfig
 from manip.training.recipes import recipe
@@ -45,14 +46,19 @@ def changed_options(
             yield name, value
 
 
-def evaluate_commands(record: RunRecord, episodes: int, seed: int) -> list[str]:
-    """Commands that repeat the evaluation, and draw the first episodes."""
+def evaluate_commands(record: RunRecord, settings: EpisodeSettings, shown: int) -> str:
+    """Commands that repeat the evaluation, one a line, and draw the episode `shown`."""
     run = shlex.quote(str(record.path))
-    return [
-        f"manip evaluate {run} --env native --episodes {episodes} --seed {seed}",
-        f"manip evaluate {run} --episodes {episodes} --seed {seed}",
-        f"manip render {run} --episodes 3 --seed {seed} --out video.mp4",
-    ]
+    among = f"--episodes {settings.episodes} --seed {settings.seed}"
+    lines = [f"manip evaluate {run} {among}"]
+    if settings.backend == "native":
+        drawn = f"--episode {shown} --seed {settings.seed} --out episode.mp4"
+        lines = [
+            f"manip evaluate {run} --env native {among}",
+            *lines,
+            f"manip render {run} {drawn}",
+        ]
+    return "\n".join(lines)
 
 
 def _words(name: str, value: Any) -> list[str]:

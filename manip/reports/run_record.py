@@ -1,6 +1,5 @@
 """RunRecord: what the folder of a run, or a policy, says about its training."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from manip.io.printable import printable
 from manip.training.config import TrainConfig, recorded
 from manip.training.final_evaluation import load_run
 from manip.training.reward_weights import parse_weights
-from manip.training.run_logs import read_metrics
+from manip.training.run_logs import read_numbers
 
 
 @dataclass(frozen=True)
@@ -21,7 +20,7 @@ class RunRecord:
     Attributes:
         path: run folder, policy folder or shipped name, as it was given.
         config: options of the training; None if they are not recorded.
-        rows: rows of metrics.csv, as numbers; empty cells are left out.
+        rows: rows of metrics.csv; see `read_numbers`.
         note: why the record of the training is missing, else "".
     """
 
@@ -71,12 +70,8 @@ def load_record(run: Path) -> RunRecord:
     if not (run / "config.yaml").is_file():
         note = "a policy alone has no record of its training"
         return RunRecord(run, policy, task, None, [], note)
-    rows = [_numbers(row) for row in read_metrics(run / "metrics.csv")]
+    rows = read_numbers(run / "metrics.csv")
     try:
         return RunRecord(run, policy, task, recorded(run), rows)
     except UserError as error:  # options of an older version
         return RunRecord(run, policy, task, None, rows, str(error))
-
-
-def _numbers(row: Mapping[str, str]) -> dict[str, float]:
-    return {name: float(cell) for name, cell in row.items() if cell}

@@ -8,6 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from manip.envs.external_task import library_of
+from manip.evaluation.diagnosis import PAGE, diagnose
 from manip.evaluation.episode_table import motion_summary
 from manip.evaluation.episodes import Episode
 from manip.evaluation.report import summarise
@@ -95,7 +96,7 @@ class RunSection:
     charts: list[Markup]
     learner: list[Markup]
     train: str | None
-    evaluate: list[str]
+    evaluate: str
     options: list[tuple[str, str, bool]]
     replays: Replays | None
 
@@ -121,7 +122,10 @@ def make_section(
         backend=f"{settings.backend} {library_of(record.policy.card.task)}",
         stages=stages,
         grade=grade(stages),
-        sentences=describe(stages, len(episodes), record.reward_weights, usual),
+        sentences=[
+            *describe(stages, len(episodes), record.reward_weights, usual),
+            *_advice(record, stages),
+        ],
         terms=_terms(record, played, usual),
         motion=_motion(episodes, record.policy.card.robot),
         stored=stored_evaluation(record.path),
@@ -129,10 +133,24 @@ def make_section(
         charts=training_charts(record),
         learner=learner_charts(record),
         train=train_command(record.config) if record.config else None,
-        evaluate=evaluate_commands(record, len(episodes), settings.seed),
+        evaluate=evaluate_commands(record, settings, _first_shown(episodes)),
         options=_options(record),
         replays=replays,
     )
+
+
+def _first_shown(episodes: Sequence[Episode]) -> int:
+    """Number of the first episode without success_held, or of the first of all."""
+    return next((e.index for e in episodes if not e.success_held), 0)
+
+
+def _advice(record: RunRecord, stages: Sequence[Stage]) -> list[str]:
+    """What the training metrics say, or where to read on if the task is not solved."""
+    steps = record.config.steps if record.config else record.policy.card.env_steps
+    finding = diagnose(record.rows, record.task.milestone_names, steps)
+    if finding:
+        return [f"At the end of the training: {finding.words}."]
+    return [] if grade(stages) == "good" else [f"What to do: see {PAGE}."]
 
 
 def _rows(

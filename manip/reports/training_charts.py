@@ -9,6 +9,13 @@ from manip.reports.run_record import RunRecord
 
 SUCCESS = ("success_once", "success_at_end", "success_held")
 
+KINDS = (
+    ("eval", "evaluation"),
+    ("curve", "light evaluation"),
+    ("train", "training episodes"),
+)
+"""First part of a column of metrics.csv, and where its numbers come from."""
+
 _STEPS = Axis("control steps [thousand]", low=0.0, scale=1e-3)
 _SHARE = Axis("", low=0.0, high=100.0, scale=100.0, unit=" %")
 _VALUE = Axis("")
@@ -17,25 +24,15 @@ _VALUE = Axis("")
 def training_charts(record: RunRecord) -> list[Markup]:
     """Success, return, milestones and reward terms of one run, those that it has."""
     rows = record.rows
-    milestones = record.task.milestone_names
-    terms = record.reward_weights
+    milestones = _curves(rows, "train/", record.task.milestone_names)
+    kinds = _curves(rows, "train/", SUCCESS) or _curves(rows, "eval/", SUCCESS)
+    terms = _curves(rows, "train/reward/", record.reward_weights)
     charts = [
-        line_chart(
-            "Success in evaluations", _curves(rows, "eval/", SUCCESS), _STEPS, _SHARE
-        ),
-        line_chart("Return", _returns(rows), _STEPS, _VALUE),
-        line_chart(
-            "Milestones reached in training",
-            _curves(rows, "train/", milestones),
-            _STEPS,
-            _SHARE,
-        ),
-        line_chart(
-            "Reward of a step in training, by term",
-            _curves(rows, "train/reward/", terms),
-            _STEPS,
-            _VALUE,
-        ),
+        line_chart("success_held", _by_purpose(rows, "success_held"), _STEPS, _SHARE),
+        line_chart("Return", _by_purpose(rows, "return"), _STEPS, _VALUE),
+        line_chart("Milestones reached in training", milestones, _STEPS, _SHARE),
+        line_chart("Three measures of success", kinds, _STEPS, _SHARE),
+        line_chart("Reward of a step in training, by term", terms, _STEPS, _VALUE),
     ]
     return [chart for chart in charts if chart]
 
@@ -74,15 +71,17 @@ def _of_learner(name: str) -> bool:
     return name.startswith("learn/")
 
 
-def _returns(rows: Sequence[Mapping[str, float]]) -> list[Line]:
-    evaluation = Line("evaluation", *_points(rows, "eval/return"))
-    return [evaluation, Line("training", *_points(rows, "train/return"))]
+def _by_purpose(rows: Sequence[Mapping[str, float]], name: str) -> list[Line]:
+    """A measure in evaluations that choose the policy, light ones, and training."""
+    lines = [Line(title, *_points(rows, f"{kind}/{name}")) for kind, title in KINDS]
+    return [line for line in lines if line.x]
 
 
 def _curves(
     rows: Sequence[Mapping[str, float]], prefix: str, names: Iterable[str]
 ) -> list[Line]:
-    return [Line(name, *_points(rows, f"{prefix}{name}")) for name in names]
+    lines = [Line(name, *_points(rows, f"{prefix}{name}")) for name in names]
+    return [line for line in lines if line.x]
 
 
 def _points(

@@ -1,6 +1,7 @@
 """A window of MuJoCo's passive viewer."""
 
 import os
+import warnings
 from types import TracebackType
 from typing import Any
 
@@ -60,14 +61,22 @@ class Window:
 
 
 def _open(model: mujoco.MjModel, data: mujoco.MjData) -> Any:
-    try:
-        from mujoco import viewer
+    import glfw  # which searches for its library when it is imported
+    from mujoco import viewer
 
+    with warnings.catch_warnings(action="ignore"):
+        if not glfw.init():  # without it, mujoco's viewer ends the process
+            raise _no_window("GLFW does not find a display")
+    try:
         return viewer.launch_passive(
             model, data, show_left_ui=False, show_right_ui=False
         )
-    except Exception as error:  # glfw and mujoco raise many kinds
-        raise UserError(
-            f"no window can be opened: {one_line(error)}; use `manip render`, which "
-            "writes a video (on macOS, start with mjpython)"
-        ) from error
+    except Exception as error:  # mujoco raises many kinds
+        raise _no_window(one_line(error)) from error
+
+
+def _no_window(reason: str) -> UserError:
+    return UserError(
+        f"no window can be opened: {reason}; use `manip render`, which writes a video "
+        "(on macOS, start with mjpython)"
+    )

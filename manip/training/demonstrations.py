@@ -20,6 +20,7 @@ from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.make_batch import make_batch
 from manip.envs.task_batch import TaskBatch
 from manip.errors import UserError
+from manip.evaluation.episodes import EpisodeTracker
 from manip.training.collector import RolloutSource
 from manip.training.config import TrainConfig
 from manip.training.experience import Experience
@@ -160,8 +161,9 @@ class DatasetRows:
         return Experience(shaped, shaped.numel(), [], [0.0] * self._terms)
 
     def save_state(self) -> dict[str, Any]:
-        """The position in the data set."""
-        return {"env": {"position": self._position}, "tracker": {}}
+        """The position in the data set; no episodes are under way."""
+        tracker = EpisodeTracker(self._num_envs).save_state()
+        return {"env": {"position": self._position}, "tracker": tracker}
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Restore what `save_state` returned.

@@ -95,8 +95,12 @@ def read_numbers(path: Path) -> list[dict[str, float]]:
 
 
 def renamed(row: Row) -> dict[str, float]:
-    """A row of an earlier version under today's names of the columns."""
-    return {RENAMED.get(name, name): value for name, value in row.items()}
+    """A row of an earlier version under today's names of the columns.
+
+    A name that has today's beside it is a milestone's.
+    """
+    old = {name for name, new in RENAMED.items() if name in row and new not in row}
+    return {RENAMED[n] if n in old else n: value for n, value in row.items()}
 
 
 def check_wandb(project: str | None) -> None:
