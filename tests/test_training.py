@@ -137,6 +137,17 @@ def test_evaluations_are_of_the_same_episodes(tmp_path: Path) -> None:
         assert sum(bool(row[f"{kind}/return"]) for row in rows) >= least
 
 
+def test_light_evaluations_do_not_change_what_is_learned(tmp_path: Path) -> None:
+    without = new_trainer(tiny("sac", tmp_path / "run", curve_episodes=0))
+    assert without.run()
+    policies = [
+        folder / "policy" / "policy.safetensors"
+        for folder in (without.folder, finished("sac").folder)
+    ]
+    assert policies[0].read_bytes() == policies[1].read_bytes()
+    assert "curve/return" not in read_metrics(without.folder / "metrics.csv")[0]
+
+
 @by_algorithm
 def test_the_same_seed_gives_the_same_run_bit_for_bit(algo, tmp_path) -> None:
     again = new_trainer(tiny(algo, tmp_path / "again"))

@@ -84,6 +84,8 @@ class Runner:
     ) -> Array:
         name = part["name"]
         if part["role"] == "camera":
+            if name not in measured:
+                raise ValueError(f"{name} is missing: uint8 {part['shape']}")
             return np.asarray(measured[name], np.uint8).reshape(part["shape"])
         numbers = np.asarray(evaluate(self._formulas[name], values), np.float32)
         return numbers.reshape(part["shape"])
