@@ -50,6 +50,7 @@ def plot_learning_curve(rows: Sequence[Row], title: str, path: Path) -> None:
     for kind in STYLES:
         _draw(panels[2], rows, f"{kind}/return", 1, "black", STYLES[kind])
     panels[2].set(ylabel="mean return", xlabel="control steps [thousand]")
+    panels[0].set_xlim(left=0)
     if rows:
         _mark_time(panels[0], rows)
     for axes in panels:
