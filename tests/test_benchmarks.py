@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from manip.benchmarks import bench_machines as machines
 from manip.benchmarks import bench_returns as returns
 from manip.benchmarks import bench_startup as startup
 from manip.benchmarks import engine_steps, pendulum, rounds
@@ -117,6 +118,20 @@ def test_env_compares_with_the_engine(tmp_path: Path) -> None:
     values = figures(tmp_path, "env")
     environments = {"env_vs_engine", "gymnasium_vs_engine"}
     assert values.keys() == {*environments, "collect_vs_engine"}
+
+
+def test_throughput_is_compared_with_the_model() -> None:
+    """On-policy in turns, off-policy at once; each round with its own learner."""
+    rounds = {
+        "ppo, learner alone": [3200.0, 1600.0],
+        "sac, learner alone": [320.0, 320],
+    }
+    for case in machines.CASES:
+        rounds |= {case.name(number): [800.0, 1600.0] for number in case.collectors}
+    result = machines._against_prediction(rounds)
+    assert result["ppo, 1 x 3,200 steps/s, measured / predicted"] == (0.5 + 1.5) / 2
+    assert result["sac, 1 x 160 steps/s, measured / predicted"] == (5 + 10) / 2
+    assert result["sac, 8 x 160 steps/s, measured / predicted"] == (2.5 + 5) / 2
 
 
 @pytest.mark.slow
