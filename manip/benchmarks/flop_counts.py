@@ -79,13 +79,15 @@ def _one_torch_thread() -> Iterator[None]:
 
 
 def _rate(size: tuple[int, int, int], make: "Maker", seconds: float) -> float:
-    multiply, best, end = make(*size), float("inf"), time.perf_counter() + seconds
+    multiply, best = make(*size), float("inf")
     repeats = max(1, 2**26 // int(np.prod(size)))
     multiply()
-    while (start := time.perf_counter()) < end:
+    start, end = time.perf_counter(), time.perf_counter() + seconds
+    while best == float("inf") or start < end:
         for _ in range(repeats):
             multiply()
         best = min(best, time.perf_counter() - start)
+        start = time.perf_counter()
     return 2.0 * float(np.prod(size)) * repeats / best
 
 

@@ -68,7 +68,7 @@ class JobResult:
     env_steps: int
     seconds: float
     training: dict[str, float]
-    evaluation: dict[str, str | int] = field(default_factory=dict)
+    evaluation: dict[str, str | int | bool] = field(default_factory=dict)
     success: dict[str, float] = field(default_factory=dict)
     return_mean: float | None = None
 
@@ -108,7 +108,7 @@ class Executor(Protocol):
         """Run the jobs; begin none once `stop` is set."""
 
 
-def evaluation_key(options: EvaluationOptions | None) -> dict[str, str | int]:
+def evaluation_key(options: EvaluationOptions | None) -> dict[str, str | int | bool]:
     """The options that decide the result of an evaluation, without those not set."""
     values = asdict(options) if options else {}
     return {k: v for k, v in values.items() if k != "processes" and v is not None}
