@@ -26,7 +26,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # read when torch is loaded
 
 from safetensors import safe_open
 
-from manip.programs import cli, evaluate, train
+from manip.programs import cli, export, train
 
 RUN = """
     --task Reach --num-envs 4 --horizon 20 --steps 3200 --threads 2
@@ -212,7 +212,7 @@ def _stat(child: int) -> list[str]:
 def readable(run: Path) -> bool:
     """Load the policy, if there is one; --resume loads the rest."""
     if (run / "policy" / "policy.safetensors").is_file():
-        evaluate.load_run(run)
+        export.load_run(run)
     return True
 
 

@@ -11,7 +11,7 @@ Importing this module registers every task as `manip/<task>-v0`::
 `info` holds `success`, and `milestones` and `reward_terms` by their names. A time limit
 is a truncation, and so is a simulation that diverges.
 
-Options of both functions; docs/gymnasium.md explains them:
+Options of both functions; docs/gymnasium.md explains them::
 
     robot             arm name, or RobotConfig(arm, controller, control_freq)
     backend           "native", or "stock" (robosuite, one environment)
@@ -31,7 +31,7 @@ Options of both functions; docs/gymnasium.md explains them:
     frames            number of latest images that are stacked, 1 by default
     looks             strength of random changes of the images, or a suite (native)
 
-Of `gymnasium.make`, and `make_vec(..., vectorization_mode="sync" | "async")`, only:
+Of `gymnasium.make`, and `make_vec(..., vectorization_mode="sync" | "async")`, only::
 
     render_mode       "rgb_array" to render
 """
