@@ -33,6 +33,7 @@ def scene(robot: str, lift: Task) -> Scene:
     return load_scene("Lift", lift.sensors, RobotConfig(robot))
 
 
+@pytest.mark.slow
 def test_the_expert_lifts_the_cube_and_keeps_it(lift: Task, scene: Scene) -> None:
     engine, env_ids = BatchEngine(scene, NUM_ENVS, threads=2), np.arange(NUM_ENVS)
     engine.reset(

@@ -114,6 +114,7 @@ def test_engine_compares_with_bare_physics_and_stock(tmp_path: Path, capsys) -> 
     assert "exact vs bare 1 thread" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_env_compares_with_the_engine(tmp_path: Path) -> None:
     values = figures(tmp_path, "env")
     environments = {"env_vs_engine", "gymnasium_vs_engine"}

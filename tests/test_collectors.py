@@ -87,7 +87,7 @@ def elsewhere(
     return place
 
 
-@pytest.mark.parametrize("algo", ["ppo", "sac"])
+@pytest.mark.parametrize("algo", ["ppo", pytest.param("sac", marks=pytest.mark.slow)])
 def test_a_run_does_not_depend_on_the_place_of_its_collectors(
     algo: str, tmp_path: Path
 ) -> None:

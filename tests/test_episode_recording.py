@@ -61,6 +61,7 @@ def test_frames_follow_speed_and_rate() -> None:
     assert len(replace(FILM, steps=5).places(episode)) == 5
 
 
+@pytest.mark.slow
 @draws
 def test_a_film_holds_the_last_frame_of_the_shorter_side(tmp_path: Path) -> None:
     rows, film = [[swing(4)], [swing(6)]], replace(FILM, titles=("a", "b"))

@@ -95,6 +95,7 @@ def state_options(folder: Path, **changes: Any) -> TrainConfig:
     )
 
 
+@pytest.mark.slow
 def test_a_run_from_cameras_resumes_bit_for_bit_and_its_policy_is_usable(
     tmp_path: Path,
 ) -> None:

@@ -191,7 +191,8 @@ def test_a_run_resumes_bit_for_bit_and_its_policy_starts_another(
     assert_equal_runs(whole.folder, parts.folder)
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
 def test_learns_to_go_to_the_goal_from_images(seed: int) -> None:
     agent = image_agent(seed=seed)
     learn(agent, Rollout(ImagePoints([20] * 16, seed)), rollouts=12)

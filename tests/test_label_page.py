@@ -171,6 +171,7 @@ def test_undo_goes_back_to_the_first_answer(tmp_path: Path) -> None:
         assert view["progress"]["answered"] == 0
 
 
+@pytest.mark.slow
 def test_no_answer_is_lost_when_it_is_killed(tmp_path: Path) -> None:
     folder = make_folder(tmp_path, 9, VIDEO)
     answers = ["left", "right", "equal", "skip"]

@@ -190,6 +190,7 @@ def test_render_shows_the_requested_steps(manip: Manip, run: Path) -> None:
     assert len(list(reader)) == 2 * 5
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(gl.find_backend() is None, reason=gl.INSTALL_HINT)
 def test_render_shows_two_policies_side_by_side(manip: Manip, run: Path) -> None:
     size = ("--width", "96", "--height", "64", "--steps", "2", "--episodes", "1")

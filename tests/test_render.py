@@ -92,8 +92,8 @@ def test_each_state_has_one_caption(pendulum: mujoco.MjModel) -> None:
     ("camera", "place"),
     [
         ("front", (0.3, 0, 0.4)),
-        ("workspace", (0.1, 0.2, 1.2)),
-        ("closeup", (-0.1, 0.1, 1.1)),
+        pytest.param("workspace", (0.1, 0.2, 1.2), marks=pytest.mark.slow),
+        pytest.param("closeup", (-0.1, 0.1, 1.1), marks=pytest.mark.slow),
     ],
 )
 def test_a_trail_has_its_dots_where_the_site_is_drawn(

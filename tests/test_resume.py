@@ -39,8 +39,11 @@ from manip.training.run_logs import read_metrics
     ("algo", "stops"),
     # Before, at and after an evaluation; before and after SAC begins to learn.
     [
-        *(("bc", (3,)), ("ppo", (1, 2)), ("ppo", (4,)), ("sac", (2, 1))),
-        *(("sac", (11,)), ("a3c", (5, 4))),
+        *(("bc", (3,)), ("ppo", (4,)), ("sac", (11,))),
+        *(
+            pytest.param(algo, stops, marks=pytest.mark.slow)
+            for algo, stops in (("ppo", (1, 2)), ("sac", (2, 1)), ("a3c", (5, 4)))
+        ),
         *(
             pytest.param(algo, (3, 2), marks=pytest.mark.slow)
             for algo in sorted(AGENTS)

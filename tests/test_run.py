@@ -121,6 +121,7 @@ def test_train_leaves_torchs_random_numbers_as_they_were(tmp_path: Path) -> None
     assert torch.equal(torch.get_rng_state(), before)
 
 
+@pytest.mark.slow
 def test_a_stop_in_the_last_report_leaves_a_finished_run(tmp_path: Path) -> None:
     config, stop = tiny("ppo", tmp_path / "run", steps=64), Event()
 
