@@ -70,12 +70,6 @@ class Robustness:
     seconds: float
     versions: dict[str, str]
 
-    @property
-    def strongest_mean(self) -> float:
-        """Mean success_held over the strongest levels."""
-        rates = [each.levels[-1].success["success_held"] for each in self.perturbed]
-        return sum(rate.rate for rate in rates) / len(rates) if rates else 0.0
-
     def to_json(self) -> str:
         """Indented JSON with the fields above."""
         return json.dumps(asdict(self), indent=2) + "\n"
