@@ -36,7 +36,8 @@ def test_bodies_are_where_the_engine_has_them(glb: Glb) -> None:
     assert len(replays.timelines) == REPLAYS
     for line in replays.timelines:
         episode = record.episodes[line["number"]]
-        model, states = record.steps.model(episode), record.steps.states(episode)
+        recorded = record.recorder.recorded(episode)
+        model, states = recorded.model(), recorded.poses
         data = mujoco.MjData(model)
         for step in (0, len(states) // 2, len(states) - 1):
             data.qpos[:] = states[step]
@@ -92,7 +93,7 @@ def test_primitives_have_their_volume(kind: str, size: tuple, expected: float) -
 
 
 def test_thinned_meshes_keep_their_shape() -> None:
-    model = played()[1].steps.batch.scene.visual
+    model = played()[1].recorder.batch.scene.visual
     geom = int(
         np.argmax(model.mesh_facenum[model.geom_dataid] * (model.geom_type == 7))
     )

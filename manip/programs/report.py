@@ -13,13 +13,13 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 from manip.errors import UserError, at_least
+from manip.evaluation.episode_recording import Progress as Progressed
 from manip.io.atomic_files import write_text
 from manip.io.output_paths import check_output
 from manip.io.printable import printable
 from manip.programs import cli
 from manip.reports.films import Film, draw_films
 from manip.reports.page import make_page
-from manip.reports.recorded_episodes import Progress as Progressed
 from manip.reports.recorded_episodes import record_episodes
 from manip.reports.replays import make_replays
 from manip.reports.run_record import RunRecord, load_record

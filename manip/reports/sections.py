@@ -181,22 +181,20 @@ def _terms(
     record: RunRecord, played: RecordedEpisodes, usual: Mapping[str, float]
 ) -> list[TermRow]:
     """The terms that the episodes measured: those of the evaluation's reward set."""
-    if played.steps is None:
+    recorder = played.recorder
+    if recorder is None:
         return []
-    terms, names = played.steps.terms, played.steps.batch.reward_names
-    lengths = np.array([episode.steps for episode in played.episodes])
-    inside = np.arange(len(terms))[:, None] < lengths
-    sums = np.where(inside[..., None], terms, 0).sum(0) / lengths[:, None]
+    means = np.stack([recorder.recorded(e).terms.mean(0) for e in played.episodes])
     solved = np.array([episode.success_held for episode in played.episodes])
     return [
         TermRow(
             name=name,
             paid=record.reward_weights.get(name, 0.0),
             usual=usual.get(name, 0.0),
-            solved=_mean(sums[solved, index]),
-            others=_mean(sums[~solved, index]),
+            solved=_mean(means[solved, index]),
+            others=_mean(means[~solved, index]),
         )
-        for index, name in enumerate(names)
+        for index, name in enumerate(recorder.batch.reward_names)
     ]
 
 
