@@ -100,6 +100,7 @@ def test_options_success_and_curves_are_shown(tmp_path: Path, capsys) -> None:
     shown = capsys.readouterr().out
     assert "cool_down" in shown
     assert "success_held (training), mean over seeds [95 % interval]" in shown
+    assert "difference [points]" in shown
     first, second = csv.DictReader(files[1].read_text().splitlines())
     assert (first["seeds"], float(first["success_held"])) == ("3", 0.5)
     assert first["difference"] == ""

@@ -288,7 +288,7 @@ def refusal(result: Result) -> str:
         ("train --resume", "--resume needs --out with a run folder"),
         ("train --resume --out nowhere", "there is no nowhere/config.yaml"),
         ("evaluate", "Missing from manip evaluate: PATH"),
-        ("evaluate nowhere", "nowhere holds no policy .*is it a run folder"),
+        ("evaluate nowhere", "nowhere holds no policy: .*is it a run folder"),
         ("evaluate RUN --env gazebo", "Expected one of ('native', 'stock')"),
         ("evaluate RUN --episodes 0", "--episodes must be at least 1, not 0"),
         ("evaluate RUN --episodes 200000", "--episodes must be at most 100000"),

@@ -17,6 +17,7 @@ from report_pages import EPISODES, REPLAYS, page, played
 
 from manip.errors import UserError
 from manip.evaluation.episodes import Episode
+from manip.programs import report
 from manip.programs.train import config_of
 from manip.reports.commands import train_command
 from manip.reports.funnel import describe, funnel
@@ -251,3 +252,11 @@ def test_stored_results_are_shown(tmp_path: Path) -> None:
     (tmp_path / "eval.json").write_text("{}")
     with pytest.raises(UserError, match=r"eval.json holds no results .*manip evaluate"):
         page((replace(record, path=tmp_path), *rest))
+
+
+def test_a_folder_of_runs_is_reported_run_by_run(tmp_path: Path) -> None:
+    for seed in ("seed0", "seed1"):
+        (tmp_path / seed).mkdir()
+        (tmp_path / seed / "config.yaml").write_text("{}")
+    with pytest.raises(UserError, match="seed0 holds no policy: the run has not been"):
+        report.make_report(report.Report((tmp_path,)), "manip")

@@ -93,7 +93,7 @@ class JobsDisplay:
     def _table(self) -> RenderableType:
         table = Table("run", "steps", "steps/s", "success_held", "time", box=None)
         for entry in self.ledger.having("running"):
-            table.add_row(*_cells(entry))
+            table.add_row(*map(Text, _cells(entry)))
         failed = self.ledger.having("failed")[-FAILED_ROWS:]
         errors = [Text(f"failed: {e.job.name}", style="red") for e in failed]
         return Group(table, *errors, Text(self._summary(), style="bold"))

@@ -86,7 +86,7 @@ def _observations(ranges: TaskRanges) -> Table:
     table = Table("observation part", "size", "least", "mean", "greatest")
     for name, part in ranges.observations.items():
         numbers = [part.min(initial=np.inf), part.mean(), part.max(initial=-np.inf)]
-        cells = (name, str(part.shape[1]), *(f"{number:.3g}" for number in numbers))
+        cells = (name, str(part.shape[1]), *map(_short, numbers))
         table.add_row(*(Text(printable(cell)) for cell in cells))
     return table
 
@@ -94,10 +94,15 @@ def _observations(ranges: TaskRanges) -> Table:
 def _rewards(task: Task, ranges: TaskRanges) -> Table:
     table = Table("reward term", "weight", "least", "greatest", "expert's mean")
     weights = task.weights["shaped"]
-    rows = [(n, f"{weights[n]:.3g}", ranges.terms[n]) for n in weights]
+    rows = [(n, _short(weights[n]), ranges.terms[n]) for n in weights]
     for name, weight, values in [*rows, ("sum, weighted", "", ranges.reward)]:
         expert = values[: ranges.expert_steps]
-        mean = f"{expert.mean():.3g}" if len(expert) else ""
-        cells = (name, weight, f"{values.min():.3g}", f"{values.max():.3g}", mean)
+        mean = _short(expert.mean()) if len(expert) else ""
+        cells = (name, weight, _short(values.min()), _short(values.max()), mean)
         table.add_row(*(Text(printable(cell)) for cell in cells))
     return table
+
+
+def _short(number: float) -> str:
+    """Three digits; no minus before a zero."""
+    return f"{number + 0.0:.3g}"

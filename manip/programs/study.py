@@ -17,7 +17,7 @@ from manip.io.atomic_files import write_text
 from manip.io.output_paths import check_output_folder
 from manip.preferences.tastes import load_taste
 from manip.programs import cli
-from manip.programs.output import console
+from manip.programs.output import console, print_path
 from manip.studies import gradient_figures, learning_figures
 from manip.studies.gradients import GradientRow, GradientStudy, measure
 from manip.studies.learning import (
@@ -118,11 +118,11 @@ def main(arguments: Sequence[str]) -> int:
     rows = measure_rows(options)
     table = options.out / f"{options.what}.csv"
     write_text(table, _table(rows))
-    console().print(str(table), highlight=False)
+    print_path(table)
     for name, draw in figures(options).items():
         picture = options.out / f"{name}.png"
         draw(rows, picture)
-        console().print(str(picture), highlight=False)
+        print_path(picture)
     return 0
 
 
