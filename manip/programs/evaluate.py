@@ -13,7 +13,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from manip.cameras import Quality
-from manip.envs.external_task import library_of
+from manip.envs.external_task import simulator_of
 from manip.envs.make_batch import Backend
 from manip.errors import UserError, at_least
 from manip.evaluation.episode_table import episode_rows, episodes_csv
@@ -164,5 +164,5 @@ def _episodes(options: Evaluate) -> EvaluationOptions:
 def _progress(options: Evaluate, task: str, total: int) -> Iterator[Count]:
     """A progress bar on stderr; yields the function that advances it."""
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        running = bar.add_task(f"{options.env} {library_of(task)}", total=total)
+        running = bar.add_task(simulator_of(options.env, task), total=total)
         yield lambda count: bar.advance(running, count)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from manip.envs.external_task import library_of
+from manip.envs.external_task import simulator_of
 from manip.evaluation.diagnosis import PAGE, diagnose
 from manip.evaluation.episode_table import motion_summary
 from manip.evaluation.episodes import Episode
@@ -119,7 +119,7 @@ def make_section(
         result=summarise(episodes, names),
         episodes=_rows(record, episodes, replays),
         seed=settings.seed,
-        backend=f"{settings.backend} {library_of(record.policy.card.task)}",
+        backend=simulator_of(settings.backend, record.policy.card.task),
         stages=stages,
         grade=grade(stages),
         sentences=[
