@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 from manip.errors import UserError, one_line, out_of_memory
 from manip.evaluation.diagnosis import diagnose
@@ -81,7 +81,7 @@ class Trainer:
                     self._save()  # from now on, a run that ends can be resumed
                 options = to_dict(self.config)
                 log = RunLog(self.folder, self.state.rows, options, self.config.wandb)
-                with log as self._log:
+                with closing(log) as self._log:
                     self._train()
         return self._complete
 
