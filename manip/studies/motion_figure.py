@@ -13,7 +13,7 @@ MARKERS = {"speed": "o", "torque": "s", "jerk": "^"}
 
 
 def draw_motion(rows: Sequence[MotionRow], path: Path) -> None:
-    """Write a picture: a line for each policy, its shares of the limits and its tilt."""
+    """Write a picture: the shares of the limits and the tilt of each policy."""
     size = (9, 1.4 + 0.3 * len(rows))
     figure, (limits, tilt) = plt.subplots(
         1, 2, figsize=size, sharey=True, layout="constrained", width_ratios=(2, 1)
