@@ -254,6 +254,16 @@ def test_stored_results_are_shown(tmp_path: Path) -> None:
         page((replace(record, path=tmp_path), *rest))
 
 
+def test_damaged_results_are_found_before_the_episodes_run(
+    tmp_path: Path, monkeypatch
+) -> None:
+    played()[0].policy.save(tmp_path / "policy")
+    (tmp_path / "robustness.json").write_text("{}")
+    monkeypatch.setattr(report, "record_episodes", None)
+    with pytest.raises(UserError, match=r"robustness.json holds no results"):
+        report.make_report(report.Report((tmp_path,)), "manip")
+
+
 def test_a_folder_of_runs_is_reported_run_by_run(tmp_path: Path) -> None:
     for seed in ("seed0", "seed1"):
         (tmp_path / seed).mkdir()

@@ -24,6 +24,7 @@ from manip.reports.recorded_episodes import record_episodes
 from manip.reports.replays import make_replays
 from manip.reports.run_record import RunRecord, load_record
 from manip.reports.sections import RunSection, make_section
+from manip.reports.stored_results import stored_evaluation, stored_robustness
 from manip.sim.gl import use_backend
 from manip.training.run_folder import run_folders
 
@@ -76,6 +77,9 @@ def make_report(options: Report, command: str) -> str:
         UserError: there is no such policy, or a video cannot be drawn here.
     """
     records = [load_record(run) for run in _runs(options)]
+    for record in records:  # files that the page shows, read before the episodes run
+        stored_evaluation(record.path)
+        stored_robustness(record.path)
     sections, films = [], []
     with Progress(console=Console(stderr=True), transient=True) as bar:
         for record in records:

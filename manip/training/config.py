@@ -275,4 +275,7 @@ def recorded(folder: Path) -> TrainConfig:
         raise UserError(f"{path} is damaged: expected a mapping of options")
     values.pop("versions", None)
     check_algorithm_origin(str(values.get("algo", "sac")), folder)
-    return from_dict(values)
+    try:
+        return from_dict(values)
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from error
