@@ -130,7 +130,8 @@ def duration(seconds: float) -> str:
 
 def _cells(entry: Entry) -> tuple[str, ...]:
     report = entry.report
-    steps = f"{report.env_steps:,} of {entry.job.config.steps:,}"
+    planned = max(entry.job.config.steps, report.env_steps)  # --until makes runs longer
+    steps = f"{report.env_steps:,} of {planned:,}"
     if report.episodes and entry.job.evaluation:
         steps = f"evaluated {report.episodes} of {entry.job.evaluation.episodes}"
     success = "" if report.success is None else f"{report.success:.0%}"
