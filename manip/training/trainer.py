@@ -55,10 +55,11 @@ class Trainer:
         check_run_folder(config)
         check_wandb(config.wandb)
         self.config, self.folder = config, config.folder
-        self.parts, self.state = build_parts(config, reward, place), RunState()
+        self._callback, self._interrupted = callback, False
+        self.parts = build_parts(config, reward, place, self._report_building)
+        self.state = RunState()
         self.checkpoints = Checkpoints(self.folder)
         self.stop = stop
-        self._callback, self._interrupted = callback, False
         self._save_timer = SaveTimer(config.checkpoint_every)
 
     @property
@@ -239,6 +240,11 @@ class Trainer:
         self._save_timer.buffer_bytes = bytes_of(tree["agent"].get("buffer"))
         with self._save_timer:
             self.checkpoints.save(tree, best)
+
+    def _report_building(self, message: str) -> None:
+        """Report before the run begins."""
+        steps = self.config.steps
+        self._callback(Progress(0, steps, 0.0, 0.0, messages=(message,)))
 
     def _report(self, *messages: str) -> None:
         state = self.state
