@@ -1,5 +1,6 @@
 """Study of motion: how each policy moves the arm, beside the arm's limits."""
 
+import gc
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import degrees, nan
@@ -68,6 +69,7 @@ def motion_rows(policies: Sequence[str], episodes: int) -> Iterator[MotionRow]:
     options = EvaluationOptions(env="native", episodes=episodes, details=True)
     for name, (policy, task) in zip(policies, loaded, strict=True):
         yield _row(name, evaluate_on_task(policy, task, options))
+        gc.collect()  # a robosuite model is a cycle of 300 MB that lives on otherwise
 
 
 def _load(name: str) -> tuple[Policy, Task]:
