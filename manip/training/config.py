@@ -117,7 +117,7 @@ class TrainConfig:
     waypoint_fraction: Annotated[float, SHARE] = 0.0
     """Fraction of training episodes that start from a waypoint of the task: a state in
     the middle of it, generated before the training (docs/waypoints.md). The fraction
-    falls to 0 as the success from true starts rises."""
+    falls to a tenth as the success from waypoints rises."""
     init: str | None = None
     """Policy that the actor starts from (fine-tuning): a run folder, or the name of a
     shipped policy. The critics are new."""

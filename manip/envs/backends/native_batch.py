@@ -169,7 +169,6 @@ class NativeBatch(DeepCopied, TaskBatch):
             first = episodes == 0
             begun = streams.uniform(0, self.horizon, 1)[:, 0].astype(np.int64)
             self.elapsed[env_ids[first]] = begun[first]
-        again = np.zeros(len(env_ids), bool)
         if self._restarts and not self._restarts.empty:
             again = streams.uniform(0, 1, 1)[:, 0] < self._restart_fraction
             visited = self._restarts.draw(streams)
@@ -177,7 +176,7 @@ class NativeBatch(DeepCopied, TaskBatch):
             self.engine.restore(visited, env_ids[again])
         if self.waypoints:
             own = EpisodeStreams(self.seed, numbers, episodes, self.purpose, FAMILY)
-            self.waypoints.begin(self.engine, env_ids, own, again)
+            self.waypoints.begin(self.engine, env_ids, own)
 
     def _keep(self, env_ids: Array, memory: Mapping[str, Array]) -> None:
         self.engine.write_memory(env_ids, memory)
