@@ -111,7 +111,8 @@ def _rate(rate: Rate | None) -> str:
 def _differences(result: Certificate) -> Table:
     table = Table(title=Text("arm's joints, Warp against C"))
     table.add_column("control steps", justify="right")
-    table.add_column("largest difference [rad]", justify="right")
-    for steps, apart in result.differences.items():
-        table.add_row(str(steps), f"{apart:.1e}")
+    for column in ("median difference [rad]", "largest"):
+        table.add_column(column, justify="right")
+    for steps, (median, most) in result.differences.items():
+        table.add_row(str(steps), f"{median:.1e}", f"{most:.1e}")
     return table
