@@ -24,6 +24,7 @@ TOWER = (
     {"cluster"},
     {"benchmarks", "reports", "studies"},
     {"programs"},
+    {"__main__"},
 )
 """Rooms of manip from the bottom up; rooms of one floor do not import each other."""
 

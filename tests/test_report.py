@@ -17,6 +17,7 @@ from report_pages import EPISODES, REPLAYS, page, played
 
 from manip.errors import UserError
 from manip.evaluation.episodes import Episode
+from manip.programs import report
 from manip.programs.train import config_of
 from manip.reports.commands import train_command
 from manip.reports.funnel import describe, funnel
@@ -36,7 +37,8 @@ def test_bodies_are_where_the_engine_has_them(glb: Glb) -> None:
     assert len(replays.timelines) == REPLAYS
     for line in replays.timelines:
         episode = record.episodes[line["number"]]
-        model, states = record.steps.model(episode), record.steps.states(episode)
+        recorded = record.recorder.recorded(episode)
+        model, states = recorded.model(), recorded.poses
         data = mujoco.MjData(model)
         for step in (0, len(states) // 2, len(states) - 1):
             data.qpos[:] = states[step]
@@ -92,7 +94,7 @@ def test_primitives_have_their_volume(kind: str, size: tuple, expected: float) -
 
 
 def test_thinned_meshes_keep_their_shape() -> None:
-    model = played()[1].steps.batch.scene.visual
+    model = played()[1].recorder.batch.scene.visual
     geom = int(
         np.argmax(model.mesh_facenum[model.geom_dataid] * (model.geom_type == 7))
     )
@@ -250,3 +252,21 @@ def test_stored_results_are_shown(tmp_path: Path) -> None:
     (tmp_path / "eval.json").write_text("{}")
     with pytest.raises(UserError, match=r"eval.json holds no results .*manip evaluate"):
         page((replace(record, path=tmp_path), *rest))
+
+
+def test_damaged_results_are_found_before_the_episodes_run(
+    tmp_path: Path, monkeypatch
+) -> None:
+    played()[0].policy.save(tmp_path / "policy")
+    (tmp_path / "robustness.json").write_text("{}")
+    monkeypatch.setattr(report, "record_episodes", None)
+    with pytest.raises(UserError, match=r"robustness.json holds no results"):
+        report.make_report(report.Report((tmp_path,)), "manip")
+
+
+def test_a_folder_of_runs_is_reported_run_by_run(tmp_path: Path) -> None:
+    for seed in ("seed0", "seed1"):
+        (tmp_path / seed).mkdir()
+        (tmp_path / seed / "config.yaml").write_text("{}")
+    with pytest.raises(UserError, match="seed0 holds no policy: the run has not been"):
+        report.make_report(report.Report((tmp_path,)), "manip")

@@ -13,7 +13,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from manip.cameras import Quality
-from manip.envs.external_task import library_of
+from manip.envs.external_task import simulator_of
 from manip.envs.make_batch import Backend
 from manip.errors import UserError, at_least
 from manip.evaluation.episode_table import episode_rows, episodes_csv
@@ -25,7 +25,7 @@ from manip.evaluation.stress_suite import load_suite
 from manip.io.atomic_files import write_text
 from manip.io.output_paths import check_output
 from manip.programs import cli
-from manip.programs.output import console
+from manip.programs.output import console, print_path
 from manip.sim.scene import Fidelity
 from manip.training.baselines import Baseline
 from manip.training.final_evaluation import (
@@ -35,6 +35,8 @@ from manip.training.final_evaluation import (
     measure_on_task,
 )
 from manip.training.stress_evaluation import evaluate_under_stress
+
+STRESS_FILES = ("robustness.json", "robustness.csv", "robustness.png")
 
 EPISODES = "episodes.csv"
 
@@ -90,18 +92,27 @@ class Evaluate:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Evaluate, write the files, print the table."""
+    """Evaluate, write the files, print the table and the paths of the files."""
     options = cli.parse(Evaluate, arguments, "manip evaluate")
     _check(options)
     torch.set_num_threads(1)
     if options.perturb:
         console().print(_stress(options))
-        return 0
-    result = evaluate(options)
-    if options.json:
-        write_text(options.json, result.to_json())
-    console().print(table(result))
+    else:
+        result = evaluate(options)
+        if options.json:
+            write_text(options.json, result.to_json())
+        console().print(table(result))
+    for path in _files(options):
+        print_path(path)
     return 0
+
+
+def _files(options: Evaluate) -> list[Path]:
+    """The files that the options ask for."""
+    names = STRESS_FILES if options.perturb else ("eval.json", EPISODES)
+    listed = [options.out / name for name in names] if options.out else []
+    return [options.json, *listed] if options.json else listed
 
 
 def evaluate(options: Evaluate) -> Evaluation:
@@ -130,9 +141,10 @@ def _stress(options: Evaluate) -> Table:
     if options.json:
         write_text(options.json, result.to_json())
     if options.out:
-        write_text(options.out / "robustness.json", result.to_json())
-        write_text(options.out / "robustness.csv", result.to_csv())
-        draw_robustness(result, options.out / "robustness.png")
+        as_json, as_csv, figure = (options.out / name for name in STRESS_FILES)
+        write_text(as_json, result.to_json())
+        write_text(as_csv, result.to_csv())
+        draw_robustness(result, figure)
     return robustness_table(result)
 
 
@@ -164,5 +176,5 @@ def _episodes(options: Evaluate) -> EvaluationOptions:
 def _progress(options: Evaluate, task: str, total: int) -> Iterator[Count]:
     """A progress bar on stderr; yields the function that advances it."""
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        running = bar.add_task(f"{options.env} {library_of(task)}", total=total)
+        running = bar.add_task(simulator_of(options.env, task), total=total)
         yield lambda count: bar.advance(running, count)

@@ -1,6 +1,8 @@
 """`manip record`: record episodes as a LeRobot, robomimic or Minari data set."""
 
+import shutil
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -103,7 +105,21 @@ def record(options: Record) -> Path:
     with Progress(console=Console(stderr=True), transient=True) as bar:
         running = bar.add_task(card.task, total=options.episodes)
         episodes = _episodes(options, env, lambda: bar.advance(running))
-        return WRITERS[options.format](options.out, recording, episodes)
+        with _removed_on_failure(options.out):
+            return WRITERS[options.format](options.out, recording, episodes)
+
+
+@contextmanager
+def _removed_on_failure(folder: Path) -> Iterator[None]:
+    """Leave no part of a data set behind in a folder that was empty."""
+    existed = folder.is_dir()
+    try:
+        yield
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        if existed:
+            folder.mkdir(exist_ok=True)
+        raise
 
 
 def _check(options: Record) -> None:

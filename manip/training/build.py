@@ -192,6 +192,7 @@ def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Po
         image_quality=config.image_quality if encoders else "",
         looks=config.looks,
         randomised=[each.to_dict() for each in load_randomisation(config.randomise)],
+        waypoint_fraction=config.waypoint_fraction,
         env_steps=steps,
         seed=config.seed,
         versions=versions(),

@@ -3,7 +3,7 @@
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from manip.agents.policy import Policy, load_policy
 from manip.cameras import CameraConfig, Quality
@@ -106,28 +106,35 @@ def measure_on_task(
     Raises:
         UserError: the task lacks a part that the policy observes, or has no such taste.
     """
-    card, settings = policy.card, episode_settings(options, policy, task)
+    settings = episode_settings(options, policy, task)
     began = time.monotonic()
     episodes = evaluate_policy(policy, settings, progress, options.processes)
     result = Evaluation(
-        task=card.task,
-        robot=card.robot,
-        algo=card.algo,
-        env=options.env,
-        fidelity=settings.fidelity,
-        episodes=options.episodes,
-        seed=options.seed,
+        **evaluated(policy, settings),
         purpose=settings.purpose.name.lower(),
-        env_steps_trained=card.env_steps,
+        env_steps_trained=policy.card.env_steps,
         **summarise(episodes, task.milestone_names),
         seconds=time.monotonic() - began,
         versions=versions(),
         taste=options.taste,
         looks=options.looks,
         image_quality=settings.cameras.quality if settings.cameras else None,
-        motion=motion_summary(episodes, card.robot),
+        motion=motion_summary(episodes, policy.card.robot),
     )
     return Measured(result, episodes)
+
+
+def evaluated(policy: AnyPolicy, settings: EpisodeSettings) -> dict[str, Any]:
+    """The fields of `EvaluatedPolicy`."""
+    return {
+        "task": policy.card.task,
+        "robot": policy.card.robot,
+        "algo": policy.card.algo,
+        "env": settings.backend,
+        "fidelity": settings.fidelity,
+        "episodes": settings.episodes,
+        "seed": settings.seed,
+    }
 
 
 def check_episodes(episodes: int, least: int = 1) -> None:
