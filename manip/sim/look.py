@@ -38,9 +38,9 @@ _CHANGED = {
 class Look:
     """Give a model the look of a seed, in place.
 
-    A fraction USUAL of the looks is robosuite's own, whose white table is at the edge of
-    all colours. The others use a share of the ranges above that is uniform from 0 to the
-    strength. Unseen looks lie on the edges of the ranges, and their textures are of
+    A fraction USUAL of the looks is robosuite's own, whose white table is at the edge
+    of all colours. The others use a share of the ranges above that is uniform from 0 to
+    the strength. Unseen looks lie on the edges of the ranges, and their textures are of
     other patterns.
 
     Args:
