@@ -33,6 +33,8 @@ APART = {("agents", "envs"), ("agents", "sim")}
 
 HOME = {
     "mujoco": ("manip/sim",),
+    "warp": ("manip/sim/warp",),
+    "mujoco_warp": ("manip/sim/warp",),
     "numba": ("manip/sim", "manip/compiled.py"),
     "llvmlite": ("manip/sim",),
     "robosuite": ("manip/sim/robosuite_factory.py", "tasks/scenes"),

@@ -296,7 +296,7 @@ def refusal(result: Result) -> str:
         ("train --resume --out nowhere", "there is no nowhere/config.yaml"),
         ("evaluate", "Missing from manip evaluate: PATH"),
         ("evaluate nowhere", "nowhere holds no policy: .*is it a run folder"),
-        ("evaluate RUN --env gazebo", "Expected one of ('native', 'stock')"),
+        ("evaluate RUN --env gazebo", "Expected one of ('native', 'stock', 'warp')"),
         ("evaluate RUN --episodes 0", "--episodes must be at least 1, not 0"),
         ("evaluate RUN --episodes 200000", "--episodes must be at most 100000"),
         ("evaluate RUN --json .", "--json . is a folder: name a file"),

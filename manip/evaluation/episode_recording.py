@@ -116,7 +116,7 @@ def record(
 
     Natively they run side by side in one batch, else one after the other.
     """
-    if settings.backend == "native":
+    if settings.backend != "stock":
         env = make_env(settings, settings.episodes)
         return _record(env, policy, settings, settings.episodes)
     env, recorded = make_env(settings), []

@@ -27,6 +27,7 @@ from manip.io.output_paths import check_output
 from manip.programs import cli
 from manip.programs.output import console, print_path
 from manip.sim.scene import Fidelity
+from manip.sim.warp.library import Device, check_library
 from manip.training.baselines import Baseline
 from manip.training.final_evaluation import (
     EvaluationOptions,
@@ -60,9 +61,10 @@ class Evaluate:
     untrained: a network as a training begins with it."""
     robot: str = "Panda"
     """Robot arm with --policy; a trained policy has its own."""
-    env: Backend = "stock"
+    env: Annotated[Backend, tyro.conf.arg(aliases=("--engine",))] = "stock"
     """Backend that simulates the episodes. stock: robosuite.make(...) itself, or the
-    library that defines the task; native: the batch engine, many times faster."""
+    library that defines the task; native: the batch engine, many times faster; warp:
+    MuJoCo Warp (the extra gpu), in float32: quote results of the other two."""
     episodes: int = 100
     """Number of episodes. More episodes narrow the intervals and take longer."""
     seed: int = 0
@@ -82,6 +84,14 @@ class Evaluate:
     image_quality: Quality = "exact"
     """Images of the native engine. exact: robosuite's bytes; lean: several times
     faster, without reflections and with fewer triangles."""
+    device: Device | None = None
+    """Device of MuJoCo Warp, cuda unless given."""
+    njmax: int | None = None
+    """Constraint rows that MuJoCo Warp allocates for an environment; as measured for
+    the task unless given."""
+    nconmax: int | None = None
+    """Contacts that MuJoCo Warp allocates for an environment, on average; as measured
+    for the task unless given."""
     json: Path | None = None
     """File for the result as JSON, besides the table."""
     out: Path | None = None
@@ -157,6 +167,11 @@ def _check(options: Evaluate) -> None:
     at_least(0, "--seed", options.seed)
     if options.perturb and options.looks:
         raise UserError("--perturb changes looks itself: drop --looks")
+    warp_only = options.device, options.njmax, options.nconmax
+    if options.env != "warp" and any(value is not None for value in warp_only):
+        raise UserError("--device, --njmax and --nconmax are options of --env warp")
+    if options.env == "warp":
+        check_library(options.device or "cuda")
 
 
 def _episodes(options: Evaluate) -> EvaluationOptions:
@@ -169,6 +184,9 @@ def _episodes(options: Evaluate) -> EvaluationOptions:
         looks=options.looks,
         image_quality=options.image_quality,
         details=options.out is not None and not options.perturb,
+        device=options.device,
+        njmax=options.njmax,
+        nconmax=options.nconmax,
     )
 
 

@@ -27,6 +27,7 @@ PROGRAMS = {
     "results": "show the results of the shipped recipes",
     "replay": "repeat a control step whose numbers were not finite",
     "check": "check a task of your own before training",
+    "certify": "compare a task on C, on MuJoCo Warp and in stock robosuite",
     "list": "list tasks, robots, algorithms, recipes, policies, tastes",
     "doctor": "check that this machine can run manip",
     "benchmark": "measure speed",

@@ -15,6 +15,7 @@ from manip.io.yaml_files import read_yaml
 from manip.preferences.label_options import LabelOptions
 from manip.robot_config import RobotConfig
 from manip.sim.scene import Fidelity
+from manip.sim.warp.library import Device
 from manip.training.reward_weights import parse_weights
 
 Controller = Literal["OSC_POSE", "OSC_POSITION", "JOINT_POSITION", "JOINT_VELOCITY"]
@@ -22,7 +23,7 @@ Controller = Literal["OSC_POSE", "OSC_POSITION", "JOINT_POSITION", "JOINT_VELOCI
 MAY_CHANGE = {
     *("out", "resume", "steps", "until", "threads", "wandb"),
     *("eval_every", "eval_episodes", "curve_episodes", "checkpoint_every", "faults"),
-    *("save_buffer", "preferences"),
+    *("save_buffer", "preferences", "njmax", "nconmax"),
 }
 """Options that may change when a run is resumed; the others made it what it is."""
 
@@ -107,6 +108,19 @@ class TrainConfig:
     fidelity: Fidelity = "fast"
     """Physics of training. exact: as stock robosuite; fast: larger time steps, and no
     collisions of the arm's links. Evaluation always uses exact physics."""
+    engine: Literal["native", "warp"] = "native"
+    """Engine that steps the training environments. native: MuJoCo's C code; warp:
+    MuJoCo Warp on an NVIDIA GPU (the extra gpu, docs/gpu.md). Evaluations always use
+    the native engine."""
+    device: Device | None = None
+    """Device of --engine warp, cuda unless given. cpu: the same kernels on one core, to
+    try and to test them."""
+    njmax: Annotated[int | None, COUNT] = None
+    """Constraint rows that --engine warp allocates for an environment; as measured for
+    the task unless given. A larger number takes more memory and time."""
+    nconmax: Annotated[int | None, COUNT] = None
+    """Contacts that --engine warp allocates for an environment, on average; as measured
+    for the task unless given."""
     reward: Literal["shaped", "stock"] = "shaped"
     """Reward set: manip's own, or robosuite's shaped reward."""
     reward_weights: tuple[str, ...] = ()

@@ -17,6 +17,7 @@ from manip.evaluation.report import Evaluation, summarise
 from manip.evaluation.runners import EpisodeSettings, Progress, evaluate_policy
 from manip.preferences.tastes import load_taste
 from manip.sim.scene import Fidelity
+from manip.sim.warp.library import Device
 from manip.training.baselines import AnyPolicy, Baseline, load_baseline
 from manip.training.checkpoint_policy import is_checkpoint, policy_of_checkpoint
 from manip.versions import versions
@@ -40,6 +41,7 @@ class EvaluationOptions:
         looks: suite of looks, see `manip.looks`; None for robosuite's own look.
         image_quality: of the native engine's images.
         details: whether the episodes have `Episode.details`.
+        device, njmax, nconmax: as in `WarpBatch`, for the warp backend.
     """
 
     env: Backend = "stock"
@@ -51,6 +53,9 @@ class EvaluationOptions:
     looks: str | None = None
     image_quality: Quality = "exact"
     details: bool = False
+    device: Device | None = None
+    njmax: int | None = None
+    nconmax: int | None = None
 
 
 def load_policy_and_task(
@@ -164,6 +169,9 @@ def episode_settings(
         taste=load_taste(policy.card.task, options.taste) if options.taste else None,
         looks=options.looks,
         details=options.details,
+        device=options.device,
+        njmax=options.njmax,
+        nconmax=options.nconmax,
     )
 
 

@@ -30,6 +30,7 @@ from manip.sim.engine import Snapshot
 from manip.sim.not_copied import DeepCopied
 from manip.sim.robosuite_factory import PANDA
 from manip.sim.robot_motion import RobotMotion
+from manip.sim.row_engine import RowEngine
 from manip.sim.scene import Fidelity, Scene, load_scene
 from manip.sim.scene_cameras import SceneCameras
 
@@ -104,7 +105,7 @@ class NativeBatch(DeepCopied, TaskBatch):
         self.scene = self._varied.scene
         if episodes.motion:
             self.scene = replace(self.scene, with_peaks=True)
-        self.engine = BatchEngine(self.scene, num_envs, threads)
+        self.engine = self._build_engine(num_envs, threads)
         self._robot_motion = RobotMotion(self.scene) if episodes.motion else None
         self._stagger = stagger
         self._restart_fraction = restart_fraction
@@ -125,8 +126,12 @@ class NativeBatch(DeepCopied, TaskBatch):
         with blamed(task):
             check_start(task, self.scene)
 
+    def _build_engine(self, num_envs: int, threads: int | None) -> RowEngine:
+        """The engine that steps `self.scene`."""
+        return BatchEngine(self.scene, num_envs, threads)
+
     def read(self) -> Measures:
-        """As `BatchEngine.read`."""
+        """As `RowEngine.read`."""
         return self.engine.read()
 
     def _version(self) -> object:
