@@ -263,6 +263,7 @@ def test_a_line_that_cannot_be_used_is_answered_with_an_error(
     deploy.main()
     answers = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [[*answer] for answer in answers] == [["error"]] * 3
+    assert "the line is no JSON" in answers[0]["error"]
     assert "is missing" in answers[2]["error"]
 
 

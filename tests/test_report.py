@@ -23,6 +23,8 @@ from manip.reports.commands import train_command
 from manip.reports.funnel import describe, funnel
 from manip.reports.line_chart import HEIGHT, WIDTH, Axis, Line, line_chart
 from manip.reports.replays import chosen_episodes
+from manip.reports.run_record import load_records
+from manip.reports.training_charts import compared_charts
 from manip.sim.triangles import Triangles, geom_triangles, primitive_triangles
 from manip.training.run_logs import renamed
 
@@ -270,3 +272,20 @@ def test_a_folder_of_runs_is_reported_run_by_run(tmp_path: Path) -> None:
         (tmp_path / seed / "config.yaml").write_text("{}")
     with pytest.raises(UserError, match="seed0 holds no policy: the run has not been"):
         report.make_report(report.Report((tmp_path,)), "manip")
+
+
+def test_names_tell_runs_apart(tmp_path: Path) -> None:
+    runs = [tmp_path / algo / seed for algo in ("a2c", "ppo") for seed in ("s0", "s1")]
+    for run in runs:
+        played()[0].policy.save(run)
+    names = [record.name for record in load_records(runs)]
+    assert names == ["a2c/s0", "a2c/s1", "ppo/s0", "ppo/s1"]
+    assert [record.name for record in load_records(runs[:2])] == ["s0", "s1"]
+
+
+def test_light_evaluations_are_in_the_compared_curves() -> None:
+    rows = [{"env_steps": 1e3, "curve/success_held": 0.25}]
+    rows += [{"env_steps": 2e3, "eval/success_held": 0.5, "train/return": 3.0}]
+    (success, *_) = compared_charts([replace(played()[0], rows=rows)])
+    (points,) = re.findall(r'points="(.*?)"', success)
+    assert len(points.split()) == 2

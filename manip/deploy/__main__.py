@@ -38,6 +38,8 @@ def _answer(runner: Runner, line: str) -> dict[str, Any]:
         if measured.pop("reset", False):
             runner.reset()
         command = runner.step(measured)._asdict() if measured else {}
+    except json.JSONDecodeError as error:
+        return {"error": f"the line is no JSON: {error}"}
     except (TypeError, ValueError) as error:
         return {"error": str(error)}
     return {

@@ -22,7 +22,7 @@ from manip.reports.films import Film, draw_films
 from manip.reports.page import make_page
 from manip.reports.recorded_episodes import record_episodes
 from manip.reports.replays import make_replays
-from manip.reports.run_record import RunRecord, load_record
+from manip.reports.run_record import RunRecord, load_records
 from manip.reports.sections import RunSection, make_section
 from manip.reports.stored_results import stored_evaluation, stored_robustness
 from manip.sim.gl import use_backend
@@ -76,7 +76,7 @@ def make_report(options: Report, command: str) -> str:
     Raises:
         UserError: there is no such policy, or a video cannot be drawn here.
     """
-    records = [load_record(run) for run in _runs(options)]
+    records = load_records(_runs(options))
     for record in records:  # files that the page shows, read before the episodes run
         stored_evaluation(record.path)
         stored_robustness(record.path)
