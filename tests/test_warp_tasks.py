@@ -7,7 +7,7 @@ import pytest
 
 from manip.envs import make_batch
 from manip.envs.task_batch import TaskBatch
-from manip.programs import certify, cli
+from manip.programs import benchmark, certify, cli
 from manip.training.randomisation import load_randomisation
 from manip.training.recipes import recipe
 from manip.training.run import train
@@ -77,6 +77,14 @@ def test_perturbed_models_differ_between_environments() -> None:
     model = warp.engine.on_device.model
     assert model.geom_friction.shape[0] == 3
     assert np.ptp(model.geom_friction.numpy()[:, 0, 0]) > 0
+
+
+def test_the_benchmark_measures_speed_and_memory(capsys) -> None:
+    options = "gpu --device cpu --task Reach --fidelity fast --num-envs 2 --rounds 1"
+    assert cli.run(benchmark.main, options.split()) == 0
+    shown = capsys.readouterr().out
+    for text in ("physics, 2 envs", "engine, 2 envs", "task, 2 envs", "bytes per env"):
+        assert text in shown
 
 
 def test_reach_is_certified(capsys) -> None:
