@@ -7,7 +7,10 @@ import pytest
 
 from manip.envs import make_batch
 from manip.envs.task_batch import TaskBatch
+from manip.envs.task_registry import load_task
 from manip.programs import benchmark, certify, cli
+from manip.robot_config import RobotConfig
+from manip.training.contact_check import contact_differences
 from manip.training.randomisation import load_randomisation
 from manip.training.recipes import recipe
 from manip.training.run import train
@@ -45,6 +48,17 @@ def test_experts_succeed_as_on_c(name: str, different: int) -> None:
     )
     assert native.sum() >= NUM_ENVS - 1
     assert (native != warp).sum() <= different
+
+
+@pytest.mark.parametrize(
+    "name", ["Lift", "Stack", "NutAssemblySquare", "Wipe", "ToolHang"]
+)
+def test_contacts_of_boxes_are_those_of_c(name: str) -> None:
+    differences = contact_differences(load_task(name), RobotConfig(), "cpu")
+    boxes = differences["box-box"]
+    assert boxes.pairs > 100
+    assert (boxes.missed, boxes.ghosts) == ([], [])
+    assert boxes.depth < 1e-6
 
 
 def test_a_run_is_resumed_and_says_that_it_differs(tmp_path) -> None:
