@@ -29,9 +29,9 @@ class Certify:
 
     The expert and the shipped policy run on all three: on C and on Warp in the same
     episodes, in stock robosuite in episodes that it samples. States on C and Warp are
-    compared after 1, 10 and 50 equal random steps. The last lines say from which
-    engine a result may be quoted. The exit code is 0 if C equals robosuite and Warp is
-    within tolerance of C, else 1. Needs the extra gpu.
+    compared after 1, 10 and 50 equal random steps, contacts in states of the expert.
+    The last lines say from which engine a result may be quoted. The exit code is 0 if
+    C equals robosuite and Warp is within tolerance of C, else 1. Needs the extra gpu.
     """
 
     task: Annotated[str, tyro.conf.Positional]
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str]) -> int:
     result = certify(_chosen(options), _say)
     if options.json:
         write_text(options.json, result.to_json())
-    for table in (_success(result), _differences(result)):
+    for table in (_success(result), _differences(result), _contacts(result)):
         console().print(table)
     for line in verdict(result):
         console().print(printable(line), markup=False, soft_wrap=True)
@@ -99,6 +99,19 @@ def _success(result: Certificate) -> Table:
     for policy, rates in result.success.items():
         cells = [_rate(rates.get(env)) for env in ("native", "warp", "stock")]
         table.add_row(policy, *cells, f"{result.equal_flags[policy]:.1%}")
+    return table
+
+
+def _contacts(result: Certificate) -> Table:
+    columns = ("pair", "contacts C", "Warp", "pairs", "difference of depth [m]")
+    beyond = ("missed on Warp", "deepest [m]", "only on Warp", "deepest [m]")
+    title = Text("contacts in the expert's states")
+    table = Table(*columns, *beyond, title=title)
+    for kind, one in sorted(result.contacts.items()):
+        cells = [str(one.native), str(one.warp), str(one.pairs), f"{one.depth:.1e}"]
+        for depths in (one.missed, one.ghosts):
+            cells += [str(len(depths)), f"{max(depths):.1e}" if depths else "-"]
+        table.add_row(kind, *cells)
     return table
 
 

@@ -15,8 +15,10 @@ from manip.evaluation.episodes import Episode
 from manip.evaluation.statistics import Rate
 from manip.evaluation.task_problems import open_task, step_problems
 from manip.robot_config import RobotConfig
+from manip.sim.warp.contact_differences import ContactDifferences
 from manip.sim.warp.library import Device, check_library
 from manip.training.baselines import AnyPolicy
+from manip.training.contact_check import contact_differences
 from manip.training.final_evaluation import (
     EvaluationOptions,
     load_policy_and_task,
@@ -75,6 +77,8 @@ class Certificate:
             joints between C and Warp, over environments with equal starts and equal
             random actions.
         stock_problems: differences between C and stock robosuite, in lines.
+        contacts: kind of pair of geoms, such as box-box -> how the contacts of C and
+            Warp differ in states of the expert.
     """
 
     task: str
@@ -85,6 +89,7 @@ class Certificate:
     equal_flags: dict[str, float] = field(default_factory=dict)
     differences: dict[int, tuple[float, float]] = field(default_factory=dict)
     stock_problems: list[str] = field(default_factory=list)
+    contacts: dict[str, ContactDifferences] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
 
     @property
@@ -118,6 +123,8 @@ def certify(options: CertificateOptions, say: Say = lambda _: None) -> Certifica
     robot = RobotConfig(options.robot)
     say("states after equal steps")
     differences = state_differences(task, robot, options.device)
+    say("contacts in the expert's states")
+    contacts = contact_differences(task, robot, options.device)
     say("C against stock robosuite")
     problems = list(step_problems(open_task(task, robot)))
     result = Certificate(
@@ -127,6 +134,7 @@ def certify(options: CertificateOptions, say: Say = lambda _: None) -> Certifica
         options.episodes,
         differences=differences,
         stock_problems=problems,
+        contacts=contacts,
         versions=versions(),
     )
     for name, (policy, _) in policies.items():

@@ -1,4 +1,4 @@
-"""ControlPeriod: the kernels of one control period, in order, as a graph on CUDA."""
+"""ControlPeriod: the kernels of one control period, in order."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,6 +9,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
+from manip.sim.warp.captured import Captured
 from manip.sim.warp.controller import Controller
 from manip.sim.warp.env_guard import EnvGuard
 from manip.sim.warp.result_rows import ResultRows
@@ -21,9 +22,7 @@ _SENSORS_OFF = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 class ControlPeriod:
     """Step all environments by one control period.
 
-    It is robosuite's own sequence, as in `manip.sim.stepping`. On CUDA, the first
-    period launches its kernels one by one, which compiles them; the second one is
-    captured as a graph, and repeated from then on.
+    It is robosuite's own sequence, as in `manip.sim.stepping`.
 
     Args:
         model, data: of mujoco_warp.
@@ -45,7 +44,7 @@ class ControlPeriod:
         state = [data.qpos, data.qvel, data.qacc_warmstart, controller.command]
         self._guard = EnvGuard(state, controller.state.broken)
         self._action: Any = None
-        self._compiled, self._graph = False, None
+        self._launch = Captured(self._period)
 
     def run(self, action: Array) -> None:
         """Take one control period; action [N, A]."""
@@ -53,20 +52,9 @@ class ControlPeriod:
         if self._action is None:
             self._action = wp.zeros(action.shape, dtype=float)
         wp.copy(self._action, values)
-        if self._action.device.is_cuda and self._compiled:
-            self._launch_graph()
-        else:
-            self._launch()
-        self._compiled = True
+        self._launch()
 
-    def _launch_graph(self) -> None:
-        if self._graph is None:
-            with wp.ScopedCapture() as capture:
-                self._launch()
-            self._graph = capture.graph
-        wp.capture_launch(self._graph)
-
-    def _launch(self) -> None:
+    def _period(self) -> None:
         self._results.clear_demand()
         self._guard.save()
         for substep in range(self._substeps):

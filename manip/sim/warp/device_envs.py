@@ -8,6 +8,7 @@ import warp as wp
 
 from manip.sim.scene import GAINS, Scene
 from manip.sim.state_row import state_columns
+from manip.sim.warp.captured import Captured
 from manip.sim.warp.columns import Place, scatter
 from manip.sim.warp.control_period import ControlPeriod
 from manip.sim.warp.controller import Controller
@@ -57,6 +58,7 @@ class DeviceEnvs:
             wp.zeros((num_envs, width), dtype=float), wp.zeros(num_envs, dtype=int)
         )
         self._chosen = wp.zeros(num_envs, dtype=int)
+        self._launch_forward = Captured(self._forward)
         self._warmstart = wp.zeros_like(self.data.qacc_warmstart)
 
     def step(self, action: Array) -> None:
@@ -77,8 +79,10 @@ class DeviceEnvs:
         chosen = np.zeros(self.data.nworld, np.int32)
         chosen[env_ids] = 1
         _send(chosen, self._chosen)
-        peaks = self.controller.state.peaks
-        inputs = [self._chosen, self.data.ctrl, peaks]
+        self._launch_forward()
+
+    def _forward(self) -> None:
+        inputs = [self._chosen, self.data.ctrl, self.controller.state.peaks]
         wp.launch(_release, dim=self.data.nworld, inputs=inputs)
         wp.copy(self._warmstart, self.data.qacc_warmstart)
         self.results.clear_demand()

@@ -32,7 +32,7 @@ MEASURED = {
     "Push": Sizes(59, 32),
     "Reach": Sizes(24, 28),
     "Stack": Sizes(82, 33),
-    "ToolHang": Sizes(448, 300),
+    "ToolHang": Sizes(393, 80),
     "Wipe": Sizes(217, 85),
 }
 """robosuite's environment -> the most that 12 episodes of the expert and of random

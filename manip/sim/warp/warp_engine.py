@@ -30,8 +30,8 @@ class WarpEngine(RowEngine):
         threads: native threads that draw images.
 
     Raises:
-        UserError: there is no such device. A step or a reset raises it where the sizes
-            are too small; the states stay those from before.
+        UserError: there is no such device. Steps, resets and `set_state` raise it where
+            the sizes are too small; a step then leaves the states from before.
 
     Attributes:
         demand: the largest sizes that were needed so far.
@@ -51,7 +51,7 @@ class WarpEngine(RowEngine):
         with wp.ScopedDevice(device):
             self._envs = DeviceEnvs(scene, num_envs, sizes)
         self._memory_at = self._default.size - sum(scene.layout.memory.values())
-        self._refresh(np.arange(num_envs))
+        self._forward(np.arange(num_envs))  # objects may overlap in the default pose
 
     @property
     def on_device(self) -> DeviceEnvs:
@@ -73,14 +73,17 @@ class WarpEngine(RowEngine):
         self._take(rows, np.flatnonzero(~self.broken), after)
 
     def _refresh(self, env_ids: Array) -> None:
-        if not len(env_ids):
-            return
+        if len(env_ids):
+            self._check_demand(self._forward(env_ids))
+
+    def _forward(self, env_ids: Array) -> Array:
+        """Send rows, run `mj_forward` and take its readings; return the result rows."""
         self._restored(env_ids)
         with wp.ScopedDevice(self.device):
             self._envs.forward(env_ids)
             rows = self._envs.results.to_host()
-        self._check_demand(rows)
         self._take(rows, env_ids, self._now)
+        return rows
 
     def _restored(self, env_ids: Array | slice) -> None:
         """Send rows to the device, and keep them as it has them: in float32."""
