@@ -85,7 +85,9 @@ def program_page(name: str) -> str:
     """Purpose, usage and options of a program."""
     text = help_of(name)
     if name == "benchmark":
-        text.boxes.update(_named("benchmark task", help_of(name, ["task"]).boxes))
+        for kind in ("task", "gpu"):
+            boxes = help_of(name, [kind]).boxes
+            text.boxes.update(_named(f"benchmark {kind}", boxes))
     if name == "train":
         text.boxes.pop("agent options")
     return "\n\n".join([f"# manip {name}", *_program_parts(name, text)])

@@ -2,6 +2,7 @@
 
 import os
 import platform
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 PACKAGES = (
@@ -19,6 +20,11 @@ PACKAGES = (
 
 def versions() -> dict[str, str]:
     """Package -> version, and Python's."""
+    return dict(_installed())
+
+
+@cache
+def _installed() -> dict[str, str]:
     installed = {"python": platform.python_version()}
     for package in PACKAGES:
         try:

@@ -3,10 +3,11 @@
 import numpy as np
 
 from manip.envs.episode_streams import EpisodeStreams
-from manip.envs.task import Measures
+from manip.envs.task import Measures, Start, Waypoint
 from manip.rewards.kernels import ramp
 from manip.sim.scene import Scene
 from manip.tasks.arm import both_pads_touch, observe_arm, start_qpos
+from manip.tasks.held_objects import GraspSpread, grasp, nearest_yaw
 from manip.tasks.placement import poses_with_any_yaw
 from manip.tasks.rotations import cos_sin, rotation_matrix, yaw_angle
 
@@ -45,6 +46,14 @@ def start_cube(
     cube = poses_with_any_yaw(streams, spots, TABLE[2] + height)
     qpos[:, scene.free_qpos("cube_main")] = cube
     return qpos
+
+
+def grasp_cube(scene: Scene, streams: EpisodeStreams, start: Start) -> Waypoint:
+    """The closed hand around the upright cube, wherever the start states have it."""
+    cube = start.qpos[:, scene.free_qpos("cube_main")]
+    yaw = nearest_yaw(2 * np.arctan2(cube[:, 6], cube[:, 3]), 4)
+    spread = GraspSpread((0.004, 0.004, 0.006))
+    return grasp(streams, start, cube[:, :3], yaw, spread)
 
 
 def measure_cube(read: Measures) -> dict[str, Array]:

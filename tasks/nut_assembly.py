@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from manip.envs.episode_streams import EpisodeStreams
-from manip.envs.task import Measures, Start, Task, Weights
+from manip.envs.task import Measures, Start, Task, Waypoint, Weights
 from manip.sim.scene import Scene
 from manip.sim.sensors import Sensors
 from manip.tasks import nut_assembly_rewards as rewards
@@ -28,6 +28,7 @@ from manip.tasks.nut_assembly_measures import (
     measure_nut,
     on_peg_and_clear,
 )
+from manip.tasks.nut_assembly_waypoints import NAMES, Nut, place_nut
 from manip.tasks.object_measures import object_measures
 from manip.tasks.placement import PARKED
 from manip.tasks.rotations import cos_sin, yaw_angle, yaw_quaternion
@@ -50,6 +51,8 @@ class NutAssembly(Task):
         peg_radius: half width [m] of the peg.
         play: largest distance [m] of the nut's centre from the peg's axis at which it
             fits over the peg.
+        handle: distance [m] of the handle's centre from the nut's.
+        fits: number of yaws in which it fits over its peg; 0 for any.
     """
 
     nut: ClassVar[str]
@@ -57,10 +60,13 @@ class NutAssembly(Task):
     side: ClassVar[int]
     peg_radius: ClassVar[float]
     play: ClassVar[float]
+    handle: ClassVar[float]
+    fits: ClassVar[int]
 
     proprioception = (*ARM_PARTS, *TOOL_PARTS)
     horizon = 150
     milestone_names = ("near", "grasp", "lift", "over", "on_peg", "success")
+    waypoint_names = NAMES
     weights: ClassVar[Weights] = rewards.WEIGHTS
 
     def sample_start(self, scene: Scene, streams: EpisodeStreams) -> Start:
@@ -71,6 +77,14 @@ class NutAssembly(Task):
         qpos[:, scene.free_qpos(self.nut)] = np.concatenate([place, turn], axis=1)
         qpos[:, scene.free_qpos(self.other)] = PARKED
         return Start(qpos)
+
+    def sample_waypoint(
+        self, milestone: str, scene: Scene, streams: EpisodeStreams
+    ) -> Waypoint:
+        """See `manip.tasks.nut_assembly_waypoints`."""
+        body = scene.free_qpos(self.nut)
+        nut = Nut(body, self.side, self.play, self.handle, self.fits)
+        return place_nut(nut, milestone, streams, self.sample_start(scene, streams))
 
     def measure(self, read: Measures) -> Measures:
         """As `measure_nut`, and whether the nut is on its peg, or fits over it.
@@ -163,7 +177,7 @@ class NutAssemblyRound(NutAssembly):
     robosuite_name = "NutAssemblyRound"
     sensors = _sensors("RoundNut", "SquareNut", "peg2")
     nut, other, side = "RoundNut_main", "SquareNut_main", -1
-    peg_radius, play = 0.02, 0.01
+    peg_radius, play, handle, fits = 0.02, 0.01, 0.06, 0
 
 
 class NutAssemblySquare(NutAssembly):
@@ -172,7 +186,7 @@ class NutAssemblySquare(NutAssembly):
     robosuite_name = "NutAssemblySquare"
     sensors = _sensors("SquareNut", "RoundNut", "peg1")
     nut, other, side = "SquareNut_main", "RoundNut_main", 1
-    peg_radius, play = 0.016, 0.006
+    peg_radius, play, handle, fits = 0.016, 0.006, 0.054, 4
 
     def observe(self, m: Measures) -> dict[str, Array]:
         """As for any nut, and its yaw relative to its peg."""

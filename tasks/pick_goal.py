@@ -24,13 +24,14 @@ from typing import ClassVar
 import numpy as np
 
 from manip.envs.episode_streams import EpisodeStreams
-from manip.envs.task import Measures, Start, Task, Weights
+from manip.envs.task import Measures, Start, Task, Waypoint, Weights
 from manip.rewards.kernels import near, ramp, tolerance
 from manip.sim.scene import Scene
 from manip.sim.sensors import Sensors
 from manip.tasks.cube import (
     CUBE_BODY,
     PAD_TOUCHES,
+    grasp_cube,
     grasp_term,
     measure_cube,
     observe_cube,
@@ -57,6 +58,7 @@ class PickGoal(Task):
     )
     horizon = 100
     milestone_names = ("near", "grasp", "lift", "goal")
+    waypoint_names = ("grasp", "lift")
     weights: ClassVar[Weights] = {
         "shaped": {
             "reach": 0.15,
@@ -73,6 +75,17 @@ class PickGoal(Task):
         goal = streams.uniform(GOAL_LOW, GOAL_HIGH, 3)
         spots = streams.uniform(-SPREAD, SPREAD, 2)
         return Start(start_cube(scene, streams, spots, HALF), {"goal_place": goal})
+
+    def sample_waypoint(
+        self, milestone: str, scene: Scene, streams: EpisodeStreams
+    ) -> Waypoint:
+        """The cube in the closed hand: on the table, or on its way to the goal."""
+        start = self.sample_start(scene, streams)
+        cube, goal = scene.free_qpos("cube_main"), start.fields["goal_place"]
+        if milestone == "lift":
+            spot, way = start.qpos[:, cube][:, :3], streams.uniform(0.35, 1, 1)
+            start.qpos[:, cube.start : cube.start + 3] += way * (goal - spot)
+        return grasp_cube(scene, streams, start)
 
     def measure(self, read: Measures) -> Measures:
         """As `measure_cube`, and the offset of the goal from the cube.

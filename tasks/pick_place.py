@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from manip.envs.episode_streams import EpisodeStreams
-from manip.envs.task import Measures, Start, Task, Weights
+from manip.envs.task import Measures, Start, Task, Waypoint, Weights
 from manip.sim.scene import Scene
 from manip.sim.sensors import Sensors
 from manip.tasks import pick_place_rewards as rewards
@@ -30,6 +30,7 @@ from manip.tasks.experts.pick_place_expert import pick_and_place
 from manip.tasks.object_measures import object_measures
 from manip.tasks.pick_place_items import BIN, ITEMS, SPREAD
 from manip.tasks.pick_place_measures import WALL, measure_object
+from manip.tasks.pick_place_waypoints import NAMES, place_object
 from manip.tasks.placement import PARKED, poses_with_any_yaw, scatter
 from manip.tasks.rotations import cos_sin, yaw_angle
 
@@ -58,6 +59,7 @@ class PickPlace(Task):
     proprioception = (*ARM_PARTS, *TOOL_PARTS)
     horizon = 150
     milestone_names = ("near", "grasp", "lift", "across", "over", "place")
+    waypoint_names = NAMES
     weights: ClassVar[Weights] = rewards.WEIGHTS
 
     def sample_start(self, scene: Scene, streams: EpisodeStreams) -> Start:
@@ -72,6 +74,13 @@ class PickPlace(Task):
         body = scene.free_qpos(f"{self.item}_main")
         qpos[:, body] = poses_with_any_yaw(streams, spots, height)
         return Start(qpos)
+
+    def sample_waypoint(
+        self, milestone: str, scene: Scene, streams: EpisodeStreams
+    ) -> Waypoint:
+        """See `manip.tasks.pick_place_waypoints`."""
+        start = self.sample_start(scene, streams)
+        return place_object(self.item, milestone, streams, start, scene)
 
     def measure(self, read: Measures) -> Measures:
         """See `measure_object`."""

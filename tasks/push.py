@@ -25,7 +25,7 @@ from typing import ClassVar
 import numpy as np
 
 from manip.envs.episode_streams import EpisodeStreams
-from manip.envs.task import Measures, Start, Task, Weights
+from manip.envs.task import Measures, Start, Task, Waypoint, Weights
 from manip.rewards.kernels import near, ramp, tolerance
 from manip.sim.scene import Scene
 from manip.sim.sensors import Sensors
@@ -33,6 +33,7 @@ from manip.tasks.cube import (
     CUBE_BODY,
     PAD_TOUCHES,
     TABLE,
+    grasp_cube,
     grasp_term,
     measure_cube,
     observe_cube,
@@ -65,6 +66,7 @@ class Push(Task):
     )
     horizon = 100
     milestone_names = ("near", "close", "push")
+    waypoint_names = ("near", "close")
     weights: ClassVar[Weights] = {
         "shaped": {"reach": 0.15, "grasp": 0.2, "slide": 0.3, "at_goal": 0.35},
         "stock": {"reach": 0.25, "slide": 0.5, "push": 1.0},
@@ -77,6 +79,18 @@ class Push(Task):
         goal = np.column_stack([spots["goal"], np.full(len(streams), TABLE[2])])
         qpos = start_cube(scene, streams, spots["cube"], HALF)
         return Start(qpos, {"goal_place": goal})
+
+    def sample_waypoint(
+        self, milestone: str, scene: Scene, streams: EpisodeStreams
+    ) -> Waypoint:
+        """The cube in the closed hand, on the table: at its start, or near the goal."""
+        start = self.sample_start(scene, streams)
+        cube, goal = scene.free_qpos("cube_main"), start.fields["goal_place"][:, :2]
+        if milestone == "close":
+            aside = SUCCESS_DISTANCE * streams.uniform(1.05, 1.9, 1)
+            angle = streams.uniform(0, 2 * np.pi, 1)[:, 0]
+            start.qpos[:, cube.start : cube.start + 2] = goal + aside * cos_sin(angle)
+        return grasp_cube(scene, streams, start)
 
     def measure(self, read: Measures) -> Measures:
         """As `measure_cube`, and the offset of the goal from the cube.

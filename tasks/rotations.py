@@ -11,6 +11,22 @@ def yaw_quaternion(yaw: Array) -> Array:
     return np.stack([np.cos(yaw / 2), zero, zero, np.sin(yaw / 2)], axis=1)
 
 
+def tool_rotation(yaw: Array, tilt: Array) -> Array:
+    """[n, 9]: rotations of a tool that points down.
+
+    yaw [n] rad of its x axis about the vertical; tilt [n, 2] rad about the world's x
+    and y axes, small.
+    """
+    c, s, zero = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
+    down = (c, s, zero, s, -c, zero, zero, zero, zero - 1)
+    matrix = np.stack(down, axis=1).reshape(-1, 3, 3)
+    turn = np.column_stack([tilt, zero])
+    angle = np.linalg.norm(turn, axis=1, keepdims=True)
+    axis = turn / np.maximum(angle, 1e-12)
+    half = np.column_stack([np.cos(angle / 2), np.sin(angle / 2) * axis])
+    return (rotation_matrix(half).reshape(-1, 3, 3) @ matrix).reshape(-1, 9)
+
+
 def yaw_angle(matrix: Array) -> Array:
     """[n] rad: the angle about the vertical of the x axis of matrices [n, 9]."""
     return np.arctan2(matrix[:, 3], matrix[:, 0])

@@ -132,3 +132,16 @@ def test_experts_act_in_one_action_space_only(tmp_path: Path) -> None:
     options = {"algo": "bc", "controller": "JOINT_POSITION", "out": str(tmp_path)}
     with pytest.raises(UserError, match="OSC_POSE actions, not JOINT_POSITION"):
         training_envs(from_dict(options))
+
+
+def test_an_expert_grasps_again_after_it_has_missed(
+    lift: Task, lift_scene: Scene
+) -> None:
+    """The gripper is closed before the hand reaches the cube: it must open again."""
+    env = TaskEnv(NativeBatch(lift, 4, scene=lift_scene, threads=1), expert=True)
+    state = env.reset()
+    for step in range(60):
+        action = state["expert_action"].clone()
+        action[:, -1] = torch.where(torch.tensor(step < 12), 1.0, action[:, -1])
+        state = env.step(state.set("action", action))["next"]
+    assert state["success"].all()

@@ -341,14 +341,14 @@ def looking(scene: Scene, looks: float | str, num_envs: int = 3) -> TaskBatch:
 
 @pytest.mark.slow
 def test_looks_change_images_and_nothing_else(lift_scene: Scene) -> None:
-    plain, varied = looking(lift_scene, 0.0), looking(lift_scene, 1.0)
+    plain, varied = looking(lift_scene, 0.0, 8), looking(lift_scene, 1.0, 8)
     for seed in range(2):
         before, after = (b.step(actions(b, seed)) for b in (plain, varied))
         np.testing.assert_array_equal(before.observation, after.observation)
-        different = before.images[PART] != after.images[PART]
-        assert different.any(axis=(1, 2, 3)).all()
+        differs = (before.images[PART] != after.images[PART]).any(axis=(1, 2, 3))
+        assert 4 <= differs.sum() < 8, "a quarter of all looks are the usual one"
     state, last = varied.save_state(), varied.observe().images[PART]
-    varied.begin(np.arange(3))
+    varied.begin(np.arange(8))
     assert (varied.observe().images[PART] != last).any()
     varied.load_state(state)
     again = varied._drawn.draw(varied.engine.states, varied._looks.seeds)[PART]

@@ -100,6 +100,7 @@ def test_options_success_and_curves_are_shown(tmp_path: Path, capsys) -> None:
     shown = capsys.readouterr().out
     assert "cool_down" in shown
     assert "success_held (training), mean over seeds [95 % interval]" in shown
+    assert "difference [points]" in shown
     first, second = csv.DictReader(files[1].read_text().splitlines())
     assert (first["seeds"], float(first["success_held"])) == ("3", 0.5)
     assert first["difference"] == ""
@@ -127,6 +128,7 @@ def test_final_evaluations_count_where_there_are_some(tmp_path: Path, capsys) ->
         ("", "manip compare needs the folder of a run"),
         ("none", "none holds no run: name a run folder"),
         ("run run", "run is given twice"),
+        ("damaged", "damaged/config.yaml: unknown algorithm 'none'"),
         ("run --out a.txt", "--out a.txt: unknown file format"),
     ],
 )
@@ -135,6 +137,8 @@ def test_mistakes_are_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     make_run(Path("run"))
+    Path("damaged").mkdir()
+    Path("damaged/config.yaml").write_text("algo: none\n")
     assert cli.run(compare.main, arguments.split()) == 2
     assert message in capsys.readouterr().err
 

@@ -1,9 +1,11 @@
 """Recorded episodes in files of other projects: written, read, replayed, learned."""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from manip.data.stored_episode import Recording, StoredEpisode
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.backends.native_batch import NativeBatch
 from manip.errors import DamagedError, UserError
+from manip.programs import record
 from manip.training.demonstrations import DatasetRows, check_dataset, rollouts_of
 from manip.training.recipes import recipe
 from manip.training.run import train
@@ -60,7 +63,8 @@ def episodes(lift, lift_scene) -> tuple[Recording, list[StoredEpisode]]:
 def folder(request, episodes, tmp_path_factory) -> Path:
     recording, stored = episodes
     place = tmp_path_factory.mktemp(request.param)
-    WRITERS[request.param](place, recording, iter(stored))
+    relative = Path(os.path.relpath(place))
+    WRITERS[request.param](relative, recording, iter(stored))
     return place
 
 
@@ -79,6 +83,20 @@ def test_what_is_read_was_written(folder: Path, episodes) -> None:
         pixels = given.images["front_image"].astype(int)
         error = np.abs(pixels - expected.images["front_image"][: steps + 1])
         assert error.mean() < 12 if steps < expected.steps else error.max() == 0
+
+
+def test_a_recording_that_fails_leaves_nothing(tmp_path: Path, monkeypatch) -> None:
+    def fail(folder: Path, *_: Any) -> None:
+        (folder / "half").mkdir(parents=True)
+        raise UserError("the disk is full")
+
+    monkeypatch.setitem(record.WRITERS, "robomimic", fail)
+    options = record.Record(
+        Path("Reach"), tmp_path / "new", "expert", "robomimic", episodes=1
+    )
+    with pytest.raises(UserError, match="the disk is full"):
+        record.record(options)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_noise_grows_over_the_environments_and_labels_have_none(episodes) -> None:

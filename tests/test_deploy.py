@@ -1,5 +1,6 @@
 """Policies outside manip: formulas, exported files, the runner, the numpy program."""
 
+import io
 import json
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from manip.agents.networks import Actor, BinnedActor
 from manip.agents.policy import CARD, Policy, load_policy, shipped_policies
 from manip.agents.policy_card import read_card
 from manip.cameras import CameraConfig
+from manip.deploy import __main__ as deploy
 from manip.deploy.exported_policy import open_policy
 from manip.deploy.formulas import LONGEST, evaluate, parse_formula
 from manip.deploy.runner import Runner, rotation_of
@@ -26,6 +28,7 @@ from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.interface import interface_of
 from manip.envs.task_registry import load_task
 from manip.errors import UserError
+from manip.programs import cli, export
 
 ROOT = Path(__file__).parents[1]
 
@@ -249,6 +252,44 @@ print(sorted(name for name in sys.modules if name.startswith("manip")))
     expected = ["deploy.exported_policy", "deploy.formulas", "deploy.runner"]
     assert all(name in modules for name in expected)
     assert "manip.agents" not in modules
+
+
+def test_a_line_that_cannot_be_used_is_answered_with_an_error(
+    exported: Path, monkeypatch, capsys
+) -> None:
+    lines = ["{", "[1]", '{"cube_pos": [0, 0, 0]}', '{"reset": true}']
+    monkeypatch.setattr(sys, "argv", ["manip.deploy", str(exported)])
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join(lines)))
+    deploy.main()
+    answers = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [[*answer] for answer in answers] == [["error"]] * 3
+    assert "the line is no JSON" in answers[0]["error"]
+    assert "is missing" in answers[2]["error"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "usage: python -m manip.deploy POLICY"),
+        (["policy.pt"], "policy.pt must be an .onnx or .npz file"),
+        (["none.npz"], "No such file"),
+    ],
+)
+def test_a_file_that_cannot_be_run_is_one_line(
+    arguments: list[str], message: str, monkeypatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["manip.deploy", *arguments])
+    with pytest.raises(SystemExit, match=message):
+        deploy.main()
+
+
+def test_the_format_follows_the_ending_of_the_file(tmp_path: Path, capsys) -> None:
+    assert cli.run(export.main, ["Wipe", "--out", str(tmp_path / "wipe.npz")]) == 0
+    card, _ = open_policy(str(tmp_path / "wipe.npz"))
+    assert card["task"] == "Wipe"
+    assert "no formula gives" in capsys.readouterr().err
+    assert cli.run(export.main, ["Lift", "--out", str(tmp_path / "lift.xyz")]) == 2
+    assert "known file formats: .onnx, .pt, .npz" in capsys.readouterr().err
 
 
 def test_a_rotation_vector_becomes_a_matrix() -> None:

@@ -58,3 +58,10 @@ def test_the_first_thing_that_keeps_a_run_from_success_is_named(rates, words) ->
 
 def test_a_run_without_finished_episodes_has_no_diagnosis() -> None:
     assert diagnose([{"env_steps": 64, "learn/loss": 1.0}], MILESTONES, 10_000) is None
+
+
+def test_a_short_run_is_not_stuck_early() -> None:
+    flat = rows(near=FLAT, grasp=FLAT, lift=FLAT)
+    assert diagnose(flat[:5], MILESTONES, 10_000) is None  # 4,000 steps
+    assert diagnose(flat[:6], MILESTONES, 10_000) is not None
+    assert diagnose(flat[:6], MILESTONES, 60_000) is None

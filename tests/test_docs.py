@@ -9,7 +9,9 @@ from typing import Any
 
 import pytest
 
+from manip.envs import waypoint_states
 from manip.programs.main import PROGRAMS
+from manip.sim.scene import Scene
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -90,6 +92,18 @@ def test_links_lead_to_files_and_headings(page: Path) -> None:
 def test_python_blocks_are_python(page: Path) -> None:
     for block in blocks(page, "python"):
         compile(block, page.name, "exec")
+
+
+def test_the_example_of_a_waypoint_gives_states(
+    lift_scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (block,) = blocks(ROOT / "docs" / "waypoints.md", "python")
+    exec(block, scope := {})
+    monkeypatch.setattr(waypoint_states, "CANDIDATES", 16)
+    maker = waypoint_states.WaypointMaker(scope["GraspedLift"](), lift_scene, 0, 1)
+    snapshot, counts = maker.make("grasp", 8)
+    assert len(snapshot.states) == 8
+    assert counts.valid >= 0.8 * counts.tried
 
 
 @cache

@@ -34,7 +34,10 @@ def swing(steps: int, index: int = 0) -> RecordedEpisode:
     success = np.arange(steps) == steps - 1
     model = mujoco.MjModel.from_xml_string(PENDULUM)
     poses = 0.1 * np.arange(steps)[:, None]
-    return RecordedEpisode(outcome, lambda: model, poses, success, [[]] * steps)
+    none = np.zeros((steps, 0))
+    return RecordedEpisode(
+        outcome, lambda: model, poses, success, none, none, [[]] * steps
+    )
 
 
 def test_one_episode_is_repeated_exactly() -> None:

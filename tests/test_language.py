@@ -170,6 +170,6 @@ def test_no_basename_occurs_twice() -> None:
     names = Counter(
         path.name
         for path in rooms
-        if path.name != "__init__.py" and path.parts[0] not in ("programs", "tasks")
+        if not path.name.startswith("__") and path.parts[0] not in ("programs", "tasks")
     )
     assert {name: n for name, n in names.items() if n > 1} == {}

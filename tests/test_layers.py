@@ -24,6 +24,7 @@ TOWER = (
     {"cluster"},
     {"benchmarks", "reports", "studies"},
     {"programs"},
+    {"__main__"},
 )
 """Rooms of manip from the bottom up; rooms of one floor do not import each other."""
 
@@ -32,6 +33,8 @@ APART = {("agents", "envs"), ("agents", "sim")}
 
 HOME = {
     "mujoco": ("manip/sim",),
+    "warp": ("manip/sim/warp",),
+    "mujoco_warp": ("manip/sim/warp",),
     "numba": ("manip/sim", "manip/compiled.py"),
     "llvmlite": ("manip/sim",),
     "robosuite": ("manip/sim/robosuite_factory.py", "tasks/scenes"),

@@ -1,5 +1,6 @@
 """Perturbations: what they change, and that the nominal task stays as it is."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ from sameness import assert_same
 
 from manip.envs import make_batch
 from manip.envs.backends.native_batch import NativeBatch
+from manip.envs.episode_draws import CHUNK, EpisodeDraws
 from manip.envs.perturbation import QUANTITIES, Perturbation, perturbations_of
 from manip.errors import UserError
 from manip.sim.scene import Scene, load_scene
@@ -165,6 +167,21 @@ def test_episodes_depend_on_their_seed_and_number_only(scene: Scene) -> None:
     assert not same(together, play(lift(scene, *MANY, seed=1)), 1)
 
 
+@pytest.mark.parametrize("per", ["episode", "step"])
+def test_a_share_of_the_episodes_is_perturbed(per: str) -> None:
+    given = Perturbation("action", normal=0.1, per=per, share=0.25)
+    draws, numbers = EpisodeDraws(given, 1000, 7), np.arange(1000)
+    draws.begin(numbers, 0, 0, numbers, numbers)
+    first, later = (draws.at(np.full(1000, step)) for step in (0, CHUNK + 1))
+    perturbed = first.any(1)
+    assert 0.2 < perturbed.mean() < 0.3
+    assert (perturbed == later.any(1)).all()
+    whole = EpisodeDraws(replace(given, share=1.0), 1000, 7)
+    whole.begin(numbers, 0, 0, numbers, numbers)
+    assert_same(first[perturbed], whole.at(np.zeros(1000, int))[perturbed])
+    assert perturbations_of([given.to_dict()]) == (given,)
+
+
 def test_a_saved_state_continues_bit_for_bit(scene: Scene) -> None:
     batch = lift(scene, *MANY)
     play(batch, 5)
@@ -219,6 +236,7 @@ def _fields(batch: NativeBatch) -> dict[str, Array]:
         ([constant("friction", 0.5) | {"per": "step"}], "draw it per episode"),
         ([{"quantity": "friction", "uniform": [2.0, 1.0]}], "the smaller first"),
         ([constant("friction", 0.5)] * 2, "perturbed twice"),
+        ([constant("friction", 0.5) | {"share": 0}], "share must be above 0"),
     ],
 )
 def test_impossible_perturbations_are_refused(values: list, words: str) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import shutil
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -100,6 +101,22 @@ def test_a_wrong_folder_is_named(name: str, folder: Path) -> None:
     with pytest.raises(UserError, match="holds no policy") as error:
         load_policy(wrong)
     assert str(error.value).startswith(str(wrong))
+
+
+def test_a_folder_without_a_policy_leads_to_what_there_is(
+    folder: Path, tmp_path: Path
+) -> None:
+    runs, early = tmp_path / "runs", tmp_path / "early"
+    for name in ("seed0", "seed1"):
+        shutil.copytree(folder, runs / name / "policy")
+    early.mkdir()
+    (early / "config.yaml").write_text("task: Lift")
+    with pytest.raises(UserError, match="name one of them: seed0, seed1"):
+        load_policy(runs)
+    with pytest.raises(UserError, match="has not been evaluated yet"):
+        load_policy(early)
+    with pytest.raises(UserError, match="did you mean Lift"):
+        load_policy("lift")
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 2, "robot": "Jaco"}'])
@@ -277,7 +294,7 @@ def test_a_shipped_policy_is_found_by_its_name(tmp_path: Path, monkeypatch) -> N
     assert replace(policy.card, robot="IIWA").name == "Lift-IIWA"
     policy.save(tmp_path / "Lift")
     assert load_policy("Lift").card == policy.card
-    with pytest.raises(UserError, match=r"holds no policy .*shipped policies: Lift"):
+    with pytest.raises(UserError, match=r"holds no policy: .*shipped policies: Lift"):
         load_policy("Lfit")
 
 

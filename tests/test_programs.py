@@ -237,6 +237,13 @@ def test_every_script_explains_itself(script: Path, monkeypatch, capsys) -> None
     assert "usage:" in capsys.readouterr().out
 
 
+def test_the_package_is_a_program_too(monkeypatch, capsys) -> None:
+    monkeypatch.setattr(sys, "argv", ["manip"])
+    with pytest.raises(SystemExit, match="0"):
+        runpy.run_module("manip", run_name="__main__")
+    assert "usage: manip PROGRAM" in capsys.readouterr().out
+
+
 def refusal(result: Result) -> str:
     """The one line that a program leaves when it refuses."""
     assert result.code == 2, result
@@ -288,8 +295,8 @@ def refusal(result: Result) -> str:
         ("train --resume", "--resume needs --out with a run folder"),
         ("train --resume --out nowhere", "there is no nowhere/config.yaml"),
         ("evaluate", "Missing from manip evaluate: PATH"),
-        ("evaluate nowhere", "nowhere holds no policy .*is it a run folder"),
-        ("evaluate RUN --env gazebo", "Expected one of ('native', 'stock')"),
+        ("evaluate nowhere", "nowhere holds no policy: .*is it a run folder"),
+        ("evaluate RUN --env gazebo", "Expected one of ('native', 'stock', 'warp')"),
         ("evaluate RUN --episodes 0", "--episodes must be at least 1, not 0"),
         ("evaluate RUN --episodes 200000", "--episodes must be at most 100000"),
         ("evaluate RUN --json .", "--json . is a folder: name a file"),

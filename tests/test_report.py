@@ -17,11 +17,14 @@ from report_pages import EPISODES, REPLAYS, page, played
 
 from manip.errors import UserError
 from manip.evaluation.episodes import Episode
+from manip.programs import report
 from manip.programs.train import config_of
 from manip.reports.commands import train_command
 from manip.reports.funnel import describe, funnel
 from manip.reports.line_chart import HEIGHT, WIDTH, Axis, Line, line_chart
 from manip.reports.replays import chosen_episodes
+from manip.reports.run_record import load_records
+from manip.reports.training_charts import compared_charts
 from manip.sim.triangles import Triangles, geom_triangles, primitive_triangles
 from manip.training.run_logs import renamed
 
@@ -36,7 +39,8 @@ def test_bodies_are_where_the_engine_has_them(glb: Glb) -> None:
     assert len(replays.timelines) == REPLAYS
     for line in replays.timelines:
         episode = record.episodes[line["number"]]
-        model, states = record.steps.model(episode), record.steps.states(episode)
+        recorded = record.recorder.recorded(episode)
+        model, states = recorded.model(), recorded.poses
         data = mujoco.MjData(model)
         for step in (0, len(states) // 2, len(states) - 1):
             data.qpos[:] = states[step]
@@ -92,7 +96,7 @@ def test_primitives_have_their_volume(kind: str, size: tuple, expected: float) -
 
 
 def test_thinned_meshes_keep_their_shape() -> None:
-    model = played()[1].steps.batch.scene.visual
+    model = played()[1].recorder.batch.scene.visual
     geom = int(
         np.argmax(model.mesh_facenum[model.geom_dataid] * (model.geom_type == 7))
     )
@@ -250,3 +254,38 @@ def test_stored_results_are_shown(tmp_path: Path) -> None:
     (tmp_path / "eval.json").write_text("{}")
     with pytest.raises(UserError, match=r"eval.json holds no results .*manip evaluate"):
         page((replace(record, path=tmp_path), *rest))
+
+
+def test_damaged_results_are_found_before_the_episodes_run(
+    tmp_path: Path, monkeypatch
+) -> None:
+    played()[0].policy.save(tmp_path / "policy")
+    (tmp_path / "robustness.json").write_text("{}")
+    monkeypatch.setattr(report, "record_episodes", None)
+    with pytest.raises(UserError, match=r"robustness.json holds no results"):
+        report.make_report(report.Report((tmp_path,)), "manip")
+
+
+def test_a_folder_of_runs_is_reported_run_by_run(tmp_path: Path) -> None:
+    for seed in ("seed0", "seed1"):
+        (tmp_path / seed).mkdir()
+        (tmp_path / seed / "config.yaml").write_text("{}")
+    with pytest.raises(UserError, match="seed0 holds no policy: the run has not been"):
+        report.make_report(report.Report((tmp_path,)), "manip")
+
+
+def test_names_tell_runs_apart(tmp_path: Path) -> None:
+    runs = [tmp_path / algo / seed for algo in ("a2c", "ppo") for seed in ("s0", "s1")]
+    for run in runs:
+        played()[0].policy.save(run)
+    names = [record.name for record in load_records(runs)]
+    assert names == ["a2c/s0", "a2c/s1", "ppo/s0", "ppo/s1"]
+    assert [record.name for record in load_records(runs[:2])] == ["s0", "s1"]
+
+
+def test_light_evaluations_are_in_the_compared_curves() -> None:
+    rows = [{"env_steps": 1e3, "curve/success_held": 0.25}]
+    rows += [{"env_steps": 2e3, "eval/success_held": 0.5, "train/return": 3.0}]
+    (success, *_) = compared_charts([replace(played()[0], rows=rows)])
+    (points,) = re.findall(r'points="(.*?)"', success)
+    assert len(points.split()) == 2

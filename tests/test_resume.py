@@ -32,6 +32,7 @@ from manip.errors import UserError
 from manip.io.tensor_trees import load_tree, save_tree
 from manip.training.checkpoint import bytes_of
 from manip.training.config import recorded
+from manip.training.evaluator import PolicyEvaluation
 from manip.training.run_logs import read_metrics
 
 
@@ -71,6 +72,36 @@ def test_a_finished_run_can_be_prolonged(tmp_path: Path) -> None:
     whole = finished("ppo").folder
     assert_same(without_rows(whole), without_rows(short.folder))
     assert choices(short.folder)[-1]["eval/return"] == choices(whole)[-1]["eval/return"]
+
+
+def test_a_run_below_its_goal_goes_on_and_resumes_bit_for_bit(tmp_path: Path) -> None:
+    """No episode succeeds: the run has three thirds more of its 512 steps."""
+    whole = tiny("ppo", tmp_path / "whole", until=1.0)
+    assert new_trainer(whole).run()
+    halted = replace(whole, out=tmp_path / "halted")
+    trainer = new_trainer(halted)
+    stop_after(trainer, 9)
+    assert not trainer.run()
+    assert trainer.state.env_steps == 576 > trainer.config.steps
+    resumed = new_trainer(replace(halted, resume=True))
+    assert resumed.run()
+    assert (resumed.state.env_steps, resumed.state.extra_steps) == (1024, 512)
+    assert_equal_runs(whole.folder, halted.folder)
+    ends = {int(row["env_steps"]) for row in choices(whole.folder)}
+    assert ends >= {512, 704, 896, 1024}
+
+
+def test_a_run_that_reaches_its_goal_ends(tmp_path: Path, monkeypatch) -> None:
+    run = new_trainer(tiny("ppo", tmp_path / "run", until=0.5))
+    evaluate = run.parts.evaluator._evaluate
+
+    def succeeding(*arguments: Any) -> PolicyEvaluation:
+        evaluation = evaluate(*arguments)
+        return replace(evaluation, success=dict.fromkeys(evaluation.success, 0.5))
+
+    monkeypatch.setattr(run.parts.evaluator, "_evaluate", succeeding)
+    assert run.run()
+    assert (run.state.env_steps, run.state.extra_steps) == (512, 0)
 
 
 def without_rows(folder: Path) -> Any:

@@ -10,7 +10,7 @@ from training_runs import contents, copy_of, finished, new_trainer, tiny
 
 from manip.errors import UserError
 from manip.training.lifecycle import locked
-from manip.training.run_folder import FILES, check_run_folder
+from manip.training.run_folder import FILES, check_run_folder, run_folders
 from manip.training.run_logs import read_metrics
 
 
@@ -190,3 +190,15 @@ def test_a_table_without_steps_is_damaged(text: str, tmp_path: Path) -> None:
     (tmp_path / "metrics.csv").write_text(text)
     with pytest.raises(UserError, match=r"metrics\.csv is damaged"):
         read_metrics(tmp_path / "metrics.csv")
+
+
+def test_a_folder_of_runs_stands_for_its_runs(tmp_path: Path) -> None:
+    runs = [tmp_path / "a" / "seed0", tmp_path / "a" / "seed1"]
+    swept = tmp_path / "sweep" / "runs" / "one"
+    for run in (*runs, swept):
+        run.mkdir(parents=True)
+        (run / "config.yaml").touch()
+    assert run_folders(tmp_path / "a") == runs
+    assert run_folders(runs[0]) == [runs[0]]
+    assert run_folders(tmp_path / "sweep") == [swept]
+    assert run_folders(tmp_path / "none") == []

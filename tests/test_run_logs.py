@@ -1,5 +1,6 @@
 """TensorBoard and Weights & Biases get rows and the options of a run."""
 
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ ROWS = [{"env_steps": 10, "a": 1.5}, {"env_steps": 20, "a": 2.5, "b/c": 3.0}]
 
 def test_tensorboard_shows_rows_and_options(tmp_path: Path) -> None:
     for _ in range(2):  # the second time, the events are written anew
-        with RunLog(tmp_path, ROWS[:1], OPTIONS, None) as log:
+        with closing(RunLog(tmp_path, ROWS[:1], OPTIONS, None)) as log:
             log.write(ROWS[1])
     events = EventAccumulator(str(tmp_path / "tensorboard"))
     events.Reload()
@@ -49,7 +50,7 @@ class FakeWandb:
 def test_weights_and_biases_gets_rows_and_options(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(FakeWandb, "made", [], raising=False)
     monkeypatch.setattr("torchrl.record.loggers.WandbLogger", FakeWandb)
-    with RunLog(tmp_path, ROWS[:1], OPTIONS, "mine") as log:
+    with closing(RunLog(tmp_path, ROWS[:1], OPTIONS, "mine")) as log:
         log.write(ROWS[1])
     (logger,) = FakeWandb.made
     assert logger.logged == [tmp_path.name, "mine", OPTIONS, (20, ROWS[1])]

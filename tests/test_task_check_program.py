@@ -8,6 +8,7 @@ from scripted import ALL_TASKS
 
 from manip.envs.task import Measures, Start
 from manip.envs.task_registry import load_task
+from manip.envs.waypoint_states import Yield
 from manip.evaluation.task_problems import (
     open_task,
     range_problems,
@@ -62,6 +63,13 @@ def test_rewards_out_of_range_or_never_paid_are_reported() -> None:
     problems = list(range_problems({}, terms, np.array([0.0, 0.5, 1.2])))
     assert "lift was 0 in every step" in problems[0]
     assert "from 0 to 1.2" in problems[1]
+
+
+def test_a_waypoint_with_too_few_states_is_reported() -> None:
+    yields = {"grasp": Yield(128, 120, 100, 90), "lift": Yield(128, 120, 10, 2)}
+    (problem,) = check.yield_problems(yields)
+    assert "waypoint lift: training needs 256 states" in problem
+    assert str(yields["lift"]).startswith("2 of 128 candidates are valid (2%)")
 
 
 @pytest.mark.slow

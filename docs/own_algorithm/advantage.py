@@ -37,6 +37,7 @@ class AWRLoss(LossModule):
 
     actor_network: TensorDictModule
     actor_network_params: TensorDictParams
+    target_actor_network_params: TensorDictParams
     critic_network: TensorDictModule
     critic_network_params: TensorDictParams
     target_critic_network_params: TensorDictParams

@@ -50,7 +50,10 @@ class Pipe:
     def step(self, measured: dict) -> dict:
         """The runner's answer to measurements."""
         self.send(measured)
-        return json.loads(self._process.stdout.readline())
+        answer = json.loads(self._process.stdout.readline())
+        if "error" in answer:
+            raise ValueError(answer["error"])
+        return answer
 
     def close(self) -> None:
         """End the runner."""

@@ -27,7 +27,7 @@ from manip.observation import ObservationPart
 
 Format = Literal["onnx", "torchscript", "numpy"]
 
-SUFFIXES = {"onnx": ".onnx", "torchscript": ".pt", "numpy": ".npz"}
+SUFFIXES: dict[Format, str] = {"onnx": ".onnx", "torchscript": ".pt", "numpy": ".npz"}
 """Format -> ending of its files."""
 
 METADATA = "manip"

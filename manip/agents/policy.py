@@ -7,8 +7,9 @@ without this package (docs/numpy_policy/act.py). Loading runs no code of a file.
 
 import json
 import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
+from difflib import get_close_matches
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
@@ -128,10 +129,19 @@ def _find(where: str | Path) -> Path:
             return path
     if str(where) in shipped:
         return shipped[str(where)] / WEIGHTS
-    raise UserError(
-        f"{where} holds no policy (no {WEIGHTS}): is it a run folder? "
-        f"shipped policies: {', '.join(shipped) or 'none'}"
-    )
+    raise UserError(f"{where} holds no policy: {_why_none(folder, shipped)}")
+
+
+def _why_none(folder: Path, shipped: Collection[str]) -> str:
+    if (folder / "config.yaml").is_file():
+        return "the run has not been evaluated yet, and saves one when it is"
+    runs = sorted(path.parts[-3] for path in folder.glob(f"*/policy/{WEIGHTS}"))
+    if runs:
+        return f"it is a folder of runs, name one of them: {', '.join(runs)}"
+    names = {name.casefold(): name for name in shipped}
+    close = get_close_matches(str(folder).casefold(), names, n=1)
+    hint = f"did you mean {names[close[0]]}" if close else "is it a run folder"
+    return f"no {WEIGHTS}, {hint}? shipped policies: {', '.join(shipped) or 'none'}"
 
 
 def _load_actor(card: PolicyCard, weights: Any) -> AnyActor:

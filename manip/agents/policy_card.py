@@ -52,6 +52,8 @@ class PolicyCard:
         looks: strength of the random looks that it was trained with.
         randomised: what differed from episode to episode of its training, see
             `manip.envs.perturbation`; empty for nothing.
+        waypoint_fraction: fraction of the training episodes that started from a
+            waypoint at first, see `manip.envs.waypoint_starts`.
         image_convention: order of the rows: "opengl", the bottom row first, as
             robosuite's camera observations are.
         horizon: length of the task's episodes [control steps]; 0 if it is not known.
@@ -89,6 +91,7 @@ class PolicyCard:
     image_quality: Literal["", "exact", "lean"] = ""
     looks: Annotated[float, Range(0.0, 1.0)] = 0.0
     randomised: list[dict[str, str | float | list[float]]] = field(default_factory=list)
+    waypoint_fraction: Annotated[float, Range(0.0, 1.0)] = 0.0
     image_convention: Literal["opengl"] = "opengl"
     horizon: Annotated[int, WHOLE] = 0
     fidelity: Literal["", "exact", "fast"] = ""

@@ -54,17 +54,17 @@ def allocate(
     """
     try:
         return {
-            "before": torch.zeros(capacity, observations + actions),
-            "after": torch.zeros(capacity, observations),
-            "reward": torch.zeros(capacity),
-            "terminated": torch.zeros(capacity, dtype=torch.bool),
-            "ended": torch.zeros(capacity, dtype=torch.bool),
-            **{name: torch.zeros(capacity, 0) for name in OPTIONAL},
-            "env": torch.zeros(capacity, dtype=torch.int32),
-            "episode": torch.zeros(capacity, dtype=torch.int64),
-            "link": torch.zeros(capacity, dtype=torch.int64),
+            "before": _zeros(np.float32, capacity, observations + actions),
+            "after": _zeros(np.float32, capacity, observations),
+            "reward": _zeros(np.float32, capacity),
+            "terminated": _zeros(np.bool_, capacity),
+            "ended": _zeros(np.bool_, capacity),
+            **{name: _zeros(np.float32, capacity, 0) for name in OPTIONAL},
+            "env": _zeros(np.int32, capacity),
+            "episode": _zeros(np.int64, capacity),
+            "link": _zeros(np.int64, capacity),
             **{
-                name(camera.name): _untouched(capacity, *camera.shape)
+                name(camera.name): _zeros(np.uint8, capacity, *camera.shape)
                 for camera in cameras
                 for name in (image_before, image_after)
             },
@@ -77,9 +77,9 @@ def allocate(
         ) from error
 
 
-def _untouched(*shape: int) -> Tensor:
-    """Zeros, uint8, that take memory only where they have been written."""
-    return torch.from_numpy(np.zeros(shape, np.uint8))
+def _zeros(kind: type[np.generic], *shape: int) -> Tensor:
+    """Zeros that take memory and time only where they have been written."""
+    return torch.from_numpy(np.zeros(shape, kind))
 
 
 def check_columns(

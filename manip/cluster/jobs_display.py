@@ -93,7 +93,7 @@ class JobsDisplay:
     def _table(self) -> RenderableType:
         table = Table("run", "steps", "steps/s", "success_held", "time", box=None)
         for entry in self.ledger.having("running"):
-            table.add_row(*_cells(entry))
+            table.add_row(*map(Text, _cells(entry)))
         failed = self.ledger.having("failed")[-FAILED_ROWS:]
         errors = [Text(f"failed: {e.job.name}", style="red") for e in failed]
         return Group(table, *errors, Text(self._summary(), style="bold"))
@@ -130,7 +130,8 @@ def duration(seconds: float) -> str:
 
 def _cells(entry: Entry) -> tuple[str, ...]:
     report = entry.report
-    steps = f"{report.env_steps:,} of {entry.job.config.steps:,}"
+    planned = max(entry.job.config.steps, report.env_steps)  # --until makes runs longer
+    steps = f"{report.env_steps:,} of {planned:,}"
     if report.episodes and entry.job.evaluation:
         steps = f"evaluated {report.episodes} of {entry.job.evaluation.episodes}"
     success = "" if report.success is None else f"{report.success:.0%}"

@@ -15,6 +15,7 @@ from manip.training.build import training_env
 from manip.training.collector import Rollout
 from manip.training.config import TrainConfig
 from manip.training.experience import Experience, experience_of, plain
+from manip.training.waypoints import add_waypoints
 
 MOST_LOSSES = 5
 """Processes that are lost one after another before a run gives up."""
@@ -65,7 +66,9 @@ class CollectorProcess:
 
     def __init__(self, config: TrainConfig, group: int, groups: int) -> None:
         torch.set_num_threads(1)
-        self._env = training_env(replace(config, threads=1), group, groups)
+        config = replace(config, threads=1)
+        self._env = training_env(config, group, groups)
+        add_waypoints(config, [self._env])
         self._env.batch.dump_folder = None  # the run folder is on another machine
         self._rollout = Rollout(self._env)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from rich.table import Table
+from rich.text import Text
 
 from manip.cluster.sweep_results import ScoredRun
 from manip.evaluation.aggregates import (
@@ -95,11 +96,12 @@ class Summary:
         for column in ("variant", "task"):
             table.add_column(column)
         for column in ("runs", "mean [%]", "IQM [%]", f"P(> {self.best})"):
-            table.add_column(column, justify="right")
+            table.add_column(Text(column), justify="right")
         against = {i.variant: i.probability for i in self.improvements_over_best()}
         for row in self.aggregates:
             last = against.get(row.variant) if self._is_total(row) else None
-            table.add_row(*_cells(row), _percent(last) if last else "")
+            cells = (*_cells(row), _percent(last) if last else "")
+            table.add_row(*map(Text, cells))
         return table
 
     def improvements_over_best(self) -> list[Improvement]:

@@ -34,7 +34,7 @@ def write_minari(
     folder: Path, recording: Recording, episodes: Iterator[StoredEpisode]
 ) -> Path:
     """Write the episodes into a folder; its part `data` appears once it is complete."""
-    partial = folder / ".partial-data"
+    partial = folder.absolute() / ".partial-data"  # minari joins relative paths twice
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
     storage = None

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from manip.cameras import Quality
 from manip.errors import UserError
 from manip.io.dataclass_values import build
 from manip.observation import ObservationSpec
@@ -29,6 +30,7 @@ class Recording:
         seed: of the episodes.
         noise: largest standard deviation of the noise on the actions.
         reward: names the reward set.
+        image_quality: exact: robosuite's bytes; lean: see `manip record`.
     """
 
     task: str
@@ -40,6 +42,7 @@ class Recording:
     seed: int = 0
     noise: float = 0.0
     reward: str = "shaped"
+    image_quality: Quality = "exact"
 
     @property
     def spec(self) -> ObservationSpec:

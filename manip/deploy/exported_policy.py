@@ -48,7 +48,13 @@ def open_policy(path: str) -> tuple[dict[str, Any], Callable[..., Array]]:
     Returns:
         The card, and a function of the joined observation [N, D] float32 and the image
         [N, H, W, C] uint8 of each camera, which returns the action [N, A].
+
+    Raises:
+        ValueError: the path ends otherwise.
+        OSError: there is no such file.
     """
+    if not path.endswith((".npz", ".onnx")):
+        raise ValueError(f"{path} must be an .onnx or .npz file of `manip export`")
     if path.endswith(".npz"):
         with np.load(path, allow_pickle=False) as file:
             card = json.loads(str(file["card"]))
@@ -57,6 +63,8 @@ def open_policy(path: str) -> tuple[dict[str, Any], Callable[..., Array]]:
         return card, lambda *inputs: network_action(card, weights, inputs[0])
     import onnxruntime
 
+    with open(path, "rb"):  # onnxruntime has no OSError of its own
+        pass
     session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
     names = [entry.name for entry in session.get_inputs()]
 

@@ -9,8 +9,8 @@ Array = np.ndarray
 CHUNK = 256
 """Control steps whose values are drawn at once, if each step has its own."""
 
-_STREAM = 2
-"""Number of these streams among those of an episode; `look_seed` has 1."""
+_STREAM, _SHARE_STREAM = 2, 3
+"""Numbers of these streams among those of an episode; `look_seed` has 1."""
 
 
 class EpisodeDraws:
@@ -50,10 +50,21 @@ class EpisodeDraws:
         return rows
 
     def _draw(self, env_id: int, chunk: int) -> None:
+        drawn, shape = self.perturbation, self._values.shape[1:]
+        self._chunks[env_id] = chunk
+        if self._is_nominal(env_id):
+            self._values[env_id] = drawn.kind.nominal
+            return
+        generator = self._generator(env_id, _STREAM, chunk)
+        self._values[env_id] = drawn.draw(generator, shape)
+
+    def _is_nominal(self, env_id: int) -> bool:
+        share = self.perturbation.share
+        return share < 1 and self._generator(env_id, _SHARE_STREAM).random() >= share
+
+    def _generator(self, env_id: int, *stream: int) -> np.random.Generator:
+        """Random numbers of the quantity in the present episode of an environment."""
         seed, purpose, number, episode = self._keys[env_id]
         name = list(self.perturbation.quantity.encode())
-        key = purpose, number, episode, _STREAM, chunk, len(name), *name
-        generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
-        shape = self._values.shape[1:]
-        self._values[env_id] = self.perturbation.draw(generator, shape)
-        self._chunks[env_id] = chunk
+        key = purpose, number, episode, *stream, len(name), *name
+        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

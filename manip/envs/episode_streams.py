@@ -29,14 +29,16 @@ TRAINING, EVALUATION, CHOICE = Purpose
 class EpisodeStreams:
     """One counter-based stream (Philox) for each of n episodes.
 
-    The stream of episode e of environment i depends on (seed, purpose, i, e) only, so
-    the same seed gives the same episodes for any number of environments or threads.
+    The stream of episode e of environment i depends on (seed, purpose, i, e, family)
+    only, so the same seed gives the same episodes for any number of environments or
+    threads.
 
     Args:
         seed: below 2^64.
         env_ids: [n] int.
         episodes: [n] int, number of the episode of each environment.
         purpose: what the episodes are for.
+        family: streams of different families are independent; 0 is the episodes' own.
     """
 
     def __init__(
@@ -45,11 +47,12 @@ class EpisodeStreams:
         env_ids: Array,
         episodes: Array,
         purpose: Purpose = TRAINING,
+        family: int = 0,
     ) -> None:
         key = np.array([seed, purpose], np.uint64)
         self._generators = [
             np.random.Generator(
-                np.random.Philox(key=key, counter=[0, 0, episode, env_id])
+                np.random.Philox(key=key, counter=[0, family, episode, env_id])
             )
             for env_id, episode in zip(env_ids, episodes, strict=True)
         ]

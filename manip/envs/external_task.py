@@ -140,9 +140,11 @@ def external_names() -> list[str]:
     ]
 
 
-def library_of(task: str) -> str:
-    """The library whose physics a task runs in: `library/name`, or robosuite."""
-    return task.split("/")[0] if "/" in task else "robosuite"
+def simulator_of(env: str, task: str) -> str:
+    """What steps a task on a backend, in words: "stock robosuite", "batch engine"."""
+    if env == "native":
+        return "batch engine"
+    return f"{env} {task.split('/')[0] if '/' in task else 'robosuite'}"
 
 
 def load_external(name: str) -> ExternalTask:

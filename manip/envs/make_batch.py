@@ -3,11 +3,13 @@
 import inspect
 from collections.abc import Mapping
 from dataclasses import fields
+from itertools import chain
 from typing import Any, Literal, get_args
 
 from manip.envs.backends.external_batch import ExternalBatch
 from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.backends.stock_batch import StockBatch
+from manip.envs.backends.warp_batch import WarpBatch
 from manip.envs.episode_options import EpisodeOptions
 from manip.envs.external_task import ExternalTask
 from manip.envs.task import Task
@@ -17,8 +19,9 @@ from manip.envs.task_registry import load_task
 from manip.errors import UserError, check_choice, shown
 from manip.robot_config import RobotConfig
 
-Backend = Literal["native", "stock"]
-"""native: the batch engine; stock: robosuite itself, one environment."""
+Backend = Literal["native", "stock", "warp"]
+"""native: the batch engine; stock: robosuite itself, one environment; warp: MuJoCo Warp
+(the extra `gpu`)."""
 
 PANDA = RobotConfig()
 
@@ -38,7 +41,7 @@ def make_batch(
         num_envs: N; 1 for the stock backend.
         backend: what steps them; tasks of another library are stepped by that library.
         robot: arm, controller and control frequency; or the arm's name alone.
-        options: as in `NativeBatch`, `StockBatch` or `ExternalBatch`.
+        options: as in `NativeBatch`, `StockBatch`, `WarpBatch` or `ExternalBatch`.
 
     Raises:
         UserError: no such task, backend, robot or option value.
@@ -75,8 +78,13 @@ def _build(
     options: dict[str, Any],
 ) -> TaskBatch:
     if isinstance(task, ExternalTask):
+        if backend == "warp":
+            raise UserError(f"{task.name} is stepped by its own library, not by warp")
         _check_names(options, ExternalBatch)
         return ExternalBatch(task, num_envs, robot=robot, **options)
+    if backend == "warp":
+        _check_names(options, WarpBatch, NativeBatch)
+        return WarpBatch(task, num_envs, robot=robot, **options)
     if backend == "native":
         _check_names(options, NativeBatch)
         return NativeBatch(task, num_envs, robot=robot, **options)
@@ -89,9 +97,9 @@ def _build(
     return StockBatch(task, robot=robot, **options)
 
 
-def _check_names(options: Mapping[str, Any], batch: type[TaskBatch]) -> None:
+def _check_names(options: Mapping[str, Any], *batches: type[TaskBatch]) -> None:
     """Raise `UserError` for an option that neither the backend nor episodes have."""
-    own = inspect.getfullargspec(batch.__init__).kwonlyargs
-    known = {*own, *(field.name for field in fields(EpisodeOptions))}
+    own = [inspect.getfullargspec(each.__init__).kwonlyargs for each in batches]
+    known = {*chain(*own), *(field.name for field in fields(EpisodeOptions))}
     for name in options:
         check_choice("option", name, known)

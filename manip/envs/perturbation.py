@@ -2,6 +2,7 @@
 
     - {quantity: object_mass, loguniform: [0.5, 4.0]}
     - {quantity: object_position, normal: 0.005, per: step}
+    - {quantity: friction, constant: 0.1, share: 0.2}
 
 The same list perturbs an evaluation or randomises the training episodes. Every draw
 comes from a stream of its own, so that episodes stay otherwise the same.
@@ -88,6 +89,8 @@ class Perturbation:
         choice: one of these values, each equally likely.
         per: "episode", one value for each episode; "step", a new one in each control
             step. Quantities of the model are drawn per episode.
+        share: share of the episodes in which values are drawn; in the others the
+            quantity is nominal.
     """
 
     quantity: str
@@ -97,6 +100,7 @@ class Perturbation:
     normal: float | None = None
     choice: tuple[float, ...] | None = None
     per: Literal["episode", "step"] = "episode"
+    share: float = 1.0
 
     def __post_init__(self) -> None:
         check_choice("quantity", self.quantity, QUANTITIES)
@@ -114,6 +118,11 @@ class Perturbation:
             raise UserError(
                 f"{self.quantity} [{self.kind.unit}] cannot be normal: choose uniform, "
                 "loguniform, choice or constant"
+            )
+        if not 0 < self.share <= 1:
+            raise UserError(
+                f"{self.quantity}: share must be above 0 and at most 1, not "
+                f"{shown(self.share)}"
             )
         _check_values(self)
 
@@ -147,6 +156,8 @@ class Perturbation:
     def to_dict(self) -> dict[str, Any]:
         """Plain values, without those that are not given."""
         plain = {n: v for n, v in asdict(self).items() if v is not None}
+        if self.share == 1:
+            del plain["share"]
         return {n: list(v) if isinstance(v, tuple) else v for n, v in plain.items()}
 
 

@@ -31,6 +31,27 @@ class Start(NamedTuple):
     fields: Mapping[str, Array] = {}
 
 
+class Waypoint(NamedTuple):
+    """States in the middle of n episodes: where the objects and the tool are.
+
+    The joint angles of the arm follow from the tool's pose by inverse kinematics.
+
+    Attributes:
+        start: the objects' poses and the model fields; the arm's part is the pose from
+            which the inverse kinematics search, and to which the controller's null
+            space pulls the arm.
+        tool_pos: [n, 3] m of the grip site, world frame.
+        tool_mat: [n, 9], its rotation matrix row by row.
+        closed: whether the gripper has closed around what is between its fingers;
+            else it is open.
+    """
+
+    start: Start
+    tool_pos: Array
+    tool_mat: Array
+    closed: bool = True
+
+
 class Task(ABC):
     """A manipulation task, defined once for every backend.
 
@@ -44,6 +65,7 @@ class Task(ABC):
         weights: reward set -> term -> weight; "shaped" pays in [0, 1] per step, so its
             weights sum to at most 1; "stock" equals robosuite's shaped reward.
         milestone_names: the milestones towards success, in order.
+        waypoint_names: the milestones for which `sample_waypoint` generates states.
         proprioception: parts of the observation that a real arm measures by itself;
             all others describe objects.
         hand_reading: the reading [N, 3] m that is the position of the hand.
@@ -54,6 +76,7 @@ class Task(ABC):
     horizon: ClassVar[int]
     weights: ClassVar[Weights]
     milestone_names: ClassVar[tuple[str, ...]]
+    waypoint_names: ClassVar[tuple[str, ...]] = ()
     proprioception: ClassVar[tuple[str, ...]] = (
         *("joint_pos", "joint_vel"),
         *("gripper_qpos", "gripper_closing", "eef_pos"),
@@ -83,6 +106,19 @@ class Task(ABC):
     @abstractmethod
     def milestones(self, m: Measures) -> dict[str, Array]:
         """Milestone name -> [N] bool: it is reached now."""
+
+    def sample_waypoint(
+        self, milestone: str, scene: Scene, streams: EpisodeStreams
+    ) -> Waypoint:
+        """Draw states of len(streams) episodes in which a milestone has been reached.
+
+        Called for each of `waypoint_names`. Training episodes can start from such
+        states (`--waypoint-fraction`); those that the engine cannot hold, or that do
+        not reach the milestone, are left out (default: an error).
+        """
+        raise UserError(
+            f"task {self.name!r} has waypoint_names, but no method sample_waypoint"
+        )
 
     def update_memory(self, m: Measures) -> Mapping[str, Array]:
         """Numbers to store for the rest of the episode: sensors.memory name -> [N, k].

@@ -11,7 +11,7 @@ import numpy as np
 
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.reward_range import ROUNDING
-from manip.envs.task import Measures, Start, Task
+from manip.envs.task import Measures, Start, Task, Waypoint
 from manip.errors import UserError, at_least, unknown
 from manip.rewards.compose import check_weight
 from manip.sim.scene import Scene
@@ -53,15 +53,52 @@ def check_start(task: Task, scene: Scene) -> None:
     """
     episodes, where = np.arange(2), f"{_of(task)} sample_start()"
     start = task.sample_start(scene, EpisodeStreams(0, episodes, episodes))
+    _check_starts(where, start, scene, 2)
+
+
+def check_waypoint_names(task: Task) -> None:
+    """Check that a task has waypoints, each called as one of its milestones.
+
+    Raises:
+        UserError: there are none, or one is no milestone or the last, the success.
+    """
+    if not task.waypoint_names:
+        raise UserError(
+            f"task {task.name!r} has no waypoints: define waypoint_names and "
+            "sample_waypoint (docs/waypoints.md), or leave --waypoint-fraction out"
+        )
+    for name in task.waypoint_names:
+        if name not in task.milestone_names[:-1]:
+            raise UserError(
+                f"{_of(task)} {unknown('waypoint', name, task.milestone_names[:-1])}"
+            )
+
+
+def check_waypoint(task: Task, scene: Scene, waypoint: Any, number: int) -> None:
+    """Check what `sample_waypoint` returned for a number of episodes.
+
+    Raises:
+        UserError: a part has the wrong name, type or shape, or is not finite.
+    """
+    where = f"{_of(task)} sample_waypoint()"
+    if not isinstance(waypoint, Waypoint):
+        kind = type(waypoint).__name__
+        raise UserError(f"{where} returns {kind}, not Waypoint(start, ...)")
+    _check_starts(where, waypoint.start, scene, number)
+    _check_start(f"{where} tool_pos", waypoint.tool_pos, (number, 3))
+    _check_start(f"{where} tool_mat", waypoint.tool_mat, (number, 9))
+
+
+def _check_starts(where: str, start: Any, scene: Scene, number: int) -> None:
     if not isinstance(start, Start):
         kind = type(start).__name__
         raise UserError(f"{where} returns {kind}, not Start(qpos, fields)")
-    _check_start(f"{where} qpos", start.qpos, (2, scene.physics.nq))
+    _check_start(f"{where} qpos", start.qpos, (number, scene.physics.nq))
     sizes = {slot.name: slot.size for slot in scene.layout.fields}
     for name, values in start.fields.items():
         if name not in sizes:
             raise UserError(f"{where}: {unknown('field', name, sizes)}")
-        _check_start(f"{where} field {name!r}", values, (2, sizes[name]))
+        _check_start(f"{where} field {name!r}", values, (number, sizes[name]))
 
 
 def _of(task: Task) -> str:

@@ -16,6 +16,9 @@ RISE = 0.05
 PATIENCE = 1 / 3
 """Share of a run after which a rate that has not risen counts as stuck."""
 
+LEAST_STEPS = 5_000
+"""Control steps within which a rate need not rise: exploration has hardly begun."""
+
 LOST = 0.5
 """A rate below this share of its highest value has collapsed."""
 
@@ -71,7 +74,8 @@ def diagnose(
     rows = [row for row in rows if "train/success_held" in row]
     if not rows:
         return None
-    return next(_findings(rows, milestones, PATIENCE * total_steps), None)
+    patience = max(PATIENCE * total_steps, LEAST_STEPS)
+    return next(_findings(rows, milestones, patience), None)
 
 
 def _findings(

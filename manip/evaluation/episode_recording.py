@@ -20,6 +20,9 @@ from manip.evaluation.runners import (
 
 Array = np.ndarray
 
+Progress = Callable[[float], None]
+"""Called with the share of the episodes that has been simulated."""
+
 
 @dataclass(frozen=True)
 class RecordedEpisode:
@@ -30,6 +33,8 @@ class RecordedEpisode:
         model: builds the MuJoCo model that draws it.
         poses: qpos [T, nq].
         success: [T] bool.
+        milestones: [T, M] bool.
+        terms: [T, K], the raw reward terms.
         images: [T] lists of the images that the policy saw, uint8 [S, S, 3 k].
     """
 
@@ -37,6 +42,8 @@ class RecordedEpisode:
     model: Callable[[], Any]
     poses: Array
     success: Array
+    milestones: Array
+    terms: Array
     images: list[list[Array]]
 
 
@@ -45,40 +52,46 @@ class StateRecorder:
 
     Args:
         env: the environments, native or stock.
+        progress: called with the share of an episode's time that has passed.
     """
 
-    def __init__(self, env: TaskEnv) -> None:
-        self._batch = env.batch
-        self._poses: list[Array] = []
-        self._success: list[Array] = []
+    def __init__(self, env: TaskEnv, progress: Progress = lambda _: None) -> None:
+        self.batch, self._progress = env.batch, progress
+        self._steps: list[dict[str, Array]] = []
         self._images: list[list[Array]] = []
         self._models: list[Callable[[], Any]] = []
 
     def __call__(self, state: TensorDictBase) -> None:
         """Record the present state of all environments."""
         if not self._models:
-            self._models = [self._model(i) for i in range(self._batch.num_envs)]
-        self._poses.append(self._batch.read()["qpos"].copy())
-        self._success.append(state["success"].squeeze(-1).numpy().copy())
-        parts = self._batch.cameras.parts
+            self._models = [self._model(i) for i in range(self.batch.num_envs)]
+        now = {
+            "poses": self.batch.read()["qpos"],
+            "success": state["success"].squeeze(-1).numpy(),
+            "milestones": state["milestones"].numpy(),
+            "terms": state["reward_terms"].numpy(),
+        }
+        self._steps.append({name: values.copy() for name, values in now.items()})
+        parts = self.batch.cameras.parts
         self._images.append([state[part.name].numpy() for part in parts])
+        self._progress(min(1.0, len(self._steps) / self.batch.horizon))
 
     def recorded(self, episode: Episode) -> RecordedEpisode:
         """The first episode of an environment, which has ended."""
-        env_id, steps = episode.env_id, slice(episode.steps)
+        env_id, steps = episode.env_id, self._steps[: episode.steps]
+        images = self._images[: episode.steps]
         return RecordedEpisode(
             episode=episode,
             model=self._models[env_id],
-            poses=np.stack(self._poses[steps])[:, env_id],
-            success=np.stack(self._success[steps])[:, env_id],
-            images=[[image[env_id] for image in row] for row in self._images[steps]],
+            **{n: np.stack([step[n][env_id] for step in steps]) for n in steps[0]},
+            images=[[image[env_id] for image in row] for row in images],
         )
 
     def _model(self, env_id: int) -> Callable[[], Any]:
-        if isinstance(self._batch, NativeBatch):
-            state = self._batch.engine.states[env_id].copy()
-            return partial(self._batch.engine.visual_model, state)
-        model = self._batch.visual_model(env_id)
+        if isinstance(self.batch, NativeBatch):
+            state = self.batch.engine.states[env_id].copy()
+            return partial(self.batch.engine.visual_model, state)
+        model = self.batch.visual_model(env_id)
         return lambda: model
 
 
@@ -103,7 +116,7 @@ def record(
 
     Natively they run side by side in one batch, else one after the other.
     """
-    if settings.backend == "native":
+    if settings.backend != "stock":
         env = make_env(settings, settings.episodes)
         return _record(env, policy, settings, settings.episodes)
     env, recorded = make_env(settings), []

@@ -88,11 +88,7 @@ class EpisodeTracker:
         if self._penalty:
             penalties = self._penalty(after["measures"].numpy())
             self._penalties += torch.from_numpy(penalties)
-        ended = torch.nonzero(done).squeeze(-1).tolist()
-        episodes = [self._episode(env_id) for env_id in ended]
-        for entries in (*self._counters(), self._milestones, self._penalties):
-            entries[ended] = 0
-        return episodes
+        return self._end(torch.nonzero(done).squeeze(-1).tolist())
 
     def save_state(self) -> dict[str, Any]:
         """Copy the accumulated values of the episodes under way."""
@@ -116,6 +112,14 @@ class EpisodeTracker:
         self._milestones = torch.zeros(len(self._steps), 0, dtype=torch.bool)
         if state["milestones"] is not None:  # None: saved before the first step
             self._add_milestones(state["milestones"])
+
+    def _end(self, env_ids: list[int]) -> list[Episode]:
+        """The episodes that have ended; their environments begin others."""
+        episodes = [self._episode(env_id) for env_id in env_ids]
+        if episodes:
+            for entries in (*self._counters(), self._milestones, self._penalties):
+                entries[env_ids] = 0
+        return episodes
 
     def _add_milestones(self, milestones: Tensor) -> None:
         if len(milestones) != len(self._steps):

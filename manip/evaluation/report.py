@@ -9,7 +9,7 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from manip.envs.external_task import library_of
+from manip.envs.external_task import simulator_of
 from manip.evaluation.episodes import Episode
 from manip.evaluation.statistics import Mean, Rate, mean_over_episodes, success_rate
 from manip.io.printable import printable
@@ -30,12 +30,36 @@ MOTION = {
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class EvaluatedPolicy:
+    """Which policy was evaluated, in which episodes.
+
+    Attributes:
+        task, robot, algo: of the policy's card.
+        env: "stock" or "native".
+        fidelity: physics of the episodes.
+        episodes: their number; of each level, if several are compared.
+        seed: of their random streams.
+    """
+
+    task: str
+    robot: str
+    algo: str
+    env: str
+    fidelity: str
+    episodes: int
+    seed: int
+
+    def to_json(self) -> str:
+        """Indented JSON with all fields."""
+        return json.dumps(asdict(self), indent=2) + "\n"
+
+
+@dataclass(frozen=True)
+class Evaluation(EvaluatedPolicy):
     """The result of an evaluation of one policy; `to_json` is the text of eval.json.
 
     Attributes:
-        env: "stock" or "native".
-        seed, purpose: the random streams of the episodes.
+        purpose: of the random streams of the episodes.
         success: success_once, success_at_end, success_held -> rate with its Wilson
             95 % interval, which covers episodes, not training seeds.
         return_mean: mean over episodes of the sum of rewards.
@@ -50,13 +74,6 @@ class Evaluation:
         motion: see `motion_summary`; None if no motion was recorded.
     """
 
-    task: str
-    robot: str
-    algo: str
-    env: str
-    fidelity: str
-    episodes: int
-    seed: int
     purpose: str
     env_steps_trained: int
     success: dict[str, Rate]
@@ -70,10 +87,6 @@ class Evaluation:
     looks: str | None = None
     image_quality: str | None = None
     motion: dict[str, float] | None = None
-
-    def to_json(self) -> str:
-        """Indented JSON with the fields above."""
-        return json.dumps(asdict(self), indent=2) + "\n"
 
 
 def summarise(episodes: Sequence[Episode], milestones: Sequence[str]) -> dict[str, Any]:
@@ -95,8 +108,8 @@ def summarise(episodes: Sequence[Episode], milestones: Sequence[str]) -> dict[st
 
 def table(result: Evaluation) -> Table:
     """The result as a table; text of the policy's card is printed without markup."""
-    library = f"{result.env} {library_of(result.task)}"
-    parts = [result.task, result.robot, result.algo, library]
+    simulator = simulator_of(result.env, result.task)
+    parts = [result.task, result.robot, result.algo, simulator]
     parts += [result.looks] if result.looks else []
     title = Text(printable(" · ".join(parts)), style="bold")
     columns = Table(title=title)

@@ -1,16 +1,16 @@
 """Robustness: success under perturbations of growing strength."""
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rich.table import Table
 from rich.text import Text
 
+from manip.envs.external_task import simulator_of
 from manip.errors import UserError, one_line
 from manip.evaluation.episodes import Episode
-from manip.evaluation.report import SUCCESS, summarise
+from manip.evaluation.report import SUCCESS, EvaluatedPolicy, summarise
 from manip.evaluation.results_table import percent
 from manip.evaluation.runners import EpisodeSettings
 from manip.evaluation.statistics import Rate
@@ -45,34 +45,22 @@ class PerturbedResult:
 
 
 @dataclass(frozen=True)
-class Robustness:
+class Robustness(EvaluatedPolicy):
     """Success of a policy under a suite of perturbations.
 
     Each level has the same episodes as the nominal ones, but for what it perturbs.
 
     Attributes:
-        episodes: of each level.
         nominal: results without perturbation.
         left_out: perturbation -> why it does not apply here.
         seconds: wall time.
     """
 
-    task: str
-    robot: str
-    algo: str
-    env: str
-    fidelity: str
-    episodes: int
-    seed: int
     nominal: Level
     perturbed: tuple[PerturbedResult, ...]
     left_out: dict[str, str]
     seconds: float
     versions: dict[str, str]
-
-    def to_json(self) -> str:
-        """Indented JSON with the fields above."""
-        return json.dumps(asdict(self), indent=2) + "\n"
 
     def to_csv(self) -> str:
         """A row for each level; the nominal one first, with strength 0."""
@@ -145,7 +133,8 @@ def _level(value: float, episodes: Sequence[Episode]) -> Level:
 def robustness_table(result: Robustness) -> Table:
     """success_held [%] of each level with its 95 % interval."""
     nominal = percent(result.nominal.success["success_held"])
-    title = f"{result.task} · {result.robot} · {result.algo} · {result.env} robosuite"
+    simulator = simulator_of(result.env, result.task)
+    title = f"{result.task} · {result.robot} · {result.algo} · {simulator}"
     table = Table(title=Text(printable(f"{title}: nominal {nominal}"), style="bold"))
     most = max((len(each.levels) for each in result.perturbed), default=0)
     strengths = [f"strength {1 + index}" for index in range(most)]

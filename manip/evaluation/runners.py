@@ -37,6 +37,7 @@ from manip.observation import check_observation
 from manip.robot_config import RobotConfig
 from manip.sim.robosuite_log import quiet_robosuite
 from manip.sim.scene import Fidelity, Scene
+from manip.sim.warp.library import Device
 
 Array = np.ndarray
 
@@ -75,8 +76,9 @@ class EpisodeSettings:
         purpose: episodes of different purposes differ, so that a policy is never
             evaluated on the starts that it was trained or chosen on.
         backend: "native", the batch engine; "stock", robosuite itself, or the library
-            that the task comes from.
-        fidelity: physics of the native backend.
+            that the task comes from; "warp", MuJoCo Warp.
+        fidelity: physics of the native and the warp backend.
+        device, njmax, nconmax: as in `WarpBatch`, for the warp backend.
         taste: penalises the steps; None for nothing.
         looks: suite of fixed looks of the native backend's images (`manip.looks`);
             None for robosuite's own look.
@@ -99,6 +101,9 @@ class EpisodeSettings:
     perturbations: Perturbations = ()
     details: bool = False
     first: int = 0
+    device: Device | None = None
+    njmax: int | None = None
+    nconmax: int | None = None
 
 
 def evaluate_policy(
@@ -108,7 +113,7 @@ def evaluate_policy(
     processes: int | None = None,
     scene: Scene | None = None,
 ) -> list[Episode]:
-    """Run the episodes: natively in one batch, else in several processes.
+    """Run the episodes: stock ones in several processes, others in one batch.
 
     Stock episodes begin with robosuite's hard reset (its default), so that sizes which
     it samples when it builds a model vary, too.
@@ -125,7 +130,7 @@ def evaluate_policy(
         UserError: the environment lacks a part of the observation.
         ChildProcessError: a process has died.
     """
-    if settings.backend == "native":
+    if settings.backend != "stock":
         env = make_env(settings, settings.episodes, scene)
         results = run_settings(env, policy, settings, settings.episodes)
         progress(len(results))
@@ -139,16 +144,19 @@ def make_env(
 ) -> TaskEnv:
     """Environments whose next episodes are the first of the settings.
 
-    `scene` is a compiled scene of the native backend, instead of building one.
+    `scene` is a compiled scene for the native or the warp backend, instead of building
+    one.
 
     Raises:
         UserError: the environment lacks a part of the observation.
     """
     options: dict[str, Any] = {"hard_reset": True}
-    if settings.backend == "native":
+    if settings.backend != "stock":
         options = {"fidelity": settings.fidelity, "motion": settings.details}
         options |= {"scene": scene} if scene else {}
         options["first_env"] = settings.first
+    if settings.backend == "warp":
+        options |= {k: getattr(settings, k) for k in ("device", "njmax", "nconmax")}
     batch = make_batch(
         settings.task,
         num_envs,
@@ -184,7 +192,7 @@ def run_settings(
     An episode does not depend on how many run side by side, to the last bit.
     """
     act = acting(policy, env.batch)
-    if settings.backend == "native" and not isinstance(policy, ActsInBatch):
+    if settings.backend != "stock" and not isinstance(policy, ActsInBatch):
         act = in_blocks(act)
     penalty: Penalty | None = None
     if settings.taste:

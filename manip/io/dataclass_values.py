@@ -5,7 +5,15 @@ from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import (
+    Any,
+    Literal,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from manip.errors import UserError, shown, unknown
 
@@ -49,7 +57,7 @@ def _fits(value: Any, hint: Any) -> bool:
     match get_origin(hint) or hint:
         case kind if kind is Literal:
             return value in parts
-        case kind if kind is UnionType:
+        case kind if kind in (UnionType, Union):
             return any(_fits(value, part) for part in parts)
         case kind if kind in (tuple, list):
             many = isinstance(value, list | tuple)
@@ -66,7 +74,7 @@ def _fits(value: Any, hint: Any) -> bool:
 
 
 def _with_tuples(value: Any, hint: Any) -> Any:
-    kinds = get_args(hint) if get_origin(hint) is UnionType else (hint,)
+    kinds = get_args(hint) if get_origin(hint) in (UnionType, Union) else (hint,)
     tuples = any(get_origin(kind) is tuple for kind in kinds)
     return tuple(value) if tuples and isinstance(value, list) else value
 
@@ -81,7 +89,7 @@ def _describe(hint: Any) -> str:
     match get_origin(hint) or hint:
         case kind if kind is Literal:
             return f"one of {', '.join(map(repr, parts))}"
-        case kind if kind is UnionType:
+        case kind if kind in (UnionType, Union):
             return " or ".join(map(_describe, parts))
         case kind if kind in (tuple, list):
             return f"a list, each {_describe(parts[0])}"

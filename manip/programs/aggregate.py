@@ -12,7 +12,7 @@ from manip.cluster.sweep_summary import Summary
 from manip.errors import UserError
 from manip.io.output_paths import check_output_folder
 from manip.programs import cli
-from manip.programs.output import console
+from manip.programs.output import console, print_path
 
 
 @dataclass(frozen=True)
@@ -57,4 +57,4 @@ def report(runs: Sequence[ScoredRun], measure: str, out: Path) -> None:
     draw_summary(summary, paths[-1])
     console().print(summary.table())
     for path in paths:
-        console().print(str(path), highlight=False)
+        print_path(path)

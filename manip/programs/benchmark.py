@@ -12,7 +12,7 @@ from manip.benchmarks.rounds import Settings, measure, save, show
 from manip.envs.task_registry import load_task
 from manip.errors import UserError, at_least
 from manip.io.output_paths import PLOT_FORMATS, check_output
-from manip.programs import benchmark_task, cli
+from manip.programs import benchmark_gpu, benchmark_task, cli
 from manip.programs.output import console
 
 
@@ -46,6 +46,8 @@ class Benchmark:
     envpool: EnvPool's PandaPickCube beside the engine (needs `make peers`).
 
     task: wall time until a task is learned; see `manip benchmark task --help`.
+
+    gpu: MuJoCo Warp on an NVIDIA GPU; see `manip benchmark gpu --help`.
     """
 
     what: Annotated[
@@ -81,6 +83,8 @@ def main(arguments: Sequence[str]) -> int:
     """Run the benchmark and print its table."""
     if list(arguments[:1]) == ["task"]:
         return benchmark_task.main(arguments[1:])
+    if list(arguments[:1]) == ["gpu"]:
+        return benchmark_gpu.main(arguments[1:])
     options = cli.parse(Benchmark, arguments, "manip benchmark")
     benchmark = importlib.import_module(f"manip.benchmarks.bench_{options.what}")
     _check(options, benchmark)

@@ -1,6 +1,6 @@
 """`manip check`: check a task of your own before training."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -13,6 +13,7 @@ from rich.text import Text
 from manip.envs.external_task import ExternalTask
 from manip.envs.task import Task
 from manip.envs.task_registry import load_task
+from manip.envs.waypoint_states import ROUNDS, STATES, Yield, measure_yields
 from manip.errors import UserError
 from manip.evaluation.task_problems import (
     TaskBackends,
@@ -33,8 +34,9 @@ class Check:
     """Check a task before training, in about a minute.
 
     Start states and steps are compared with robosuite's own; the expert and random
-    actions show which rewards are paid and how large the observations are. The exit
-    code is 0 without problems, else 1.
+    actions show which rewards are paid and how large the observations are. Of each
+    waypoint, some states are generated, to show how many are valid. The exit code is 0
+    without problems, else 1.
     """
 
     task: Annotated[str, tyro.conf.Positional]
@@ -58,7 +60,10 @@ def main(arguments: Sequence[str]) -> int:
     console().print(_observations(ranges))
     console().print(_rewards(task, ranges))
     console().print(f"expert: {_expert(ranges)}", markup=False)
-    problems = _problems(backends, ranges)
+    yields = measure_yields(task, backends.scene)
+    for name, counts in yields.items():
+        console().print(f"waypoint {name}: {counts}", markup=False, soft_wrap=True)
+    problems = [*_problems(backends, ranges), *yield_problems(yields)]
     for problem in problems:
         line = printable(f"problem: {problem}")
         console().print(line, markup=False, soft_wrap=True)
@@ -75,6 +80,17 @@ def _problems(task: TaskBackends, ranges: TaskRanges) -> list[str]:
     return problems
 
 
+def yield_problems(yields: Mapping[str, Yield]) -> Iterator[str]:
+    """Waypoints of which too few candidates are valid, by name."""
+    for name, counts in yields.items():
+        if counts.enough_for(STATES, ROUNDS):
+            continue
+        yield (
+            f"waypoint {name}: training needs {STATES} states, and would not get them "
+            "from sample_waypoint"
+        )
+
+
 def _expert(ranges: TaskRanges) -> str:
     if ranges.expert_success is None:
         return "none (--algo bc needs one)"
@@ -86,7 +102,7 @@ def _observations(ranges: TaskRanges) -> Table:
     table = Table("observation part", "size", "least", "mean", "greatest")
     for name, part in ranges.observations.items():
         numbers = [part.min(initial=np.inf), part.mean(), part.max(initial=-np.inf)]
-        cells = (name, str(part.shape[1]), *(f"{number:.3g}" for number in numbers))
+        cells = (name, str(part.shape[1]), *map(_short, numbers))
         table.add_row(*(Text(printable(cell)) for cell in cells))
     return table
 
@@ -94,10 +110,15 @@ def _observations(ranges: TaskRanges) -> Table:
 def _rewards(task: Task, ranges: TaskRanges) -> Table:
     table = Table("reward term", "weight", "least", "greatest", "expert's mean")
     weights = task.weights["shaped"]
-    rows = [(n, f"{weights[n]:.3g}", ranges.terms[n]) for n in weights]
+    rows = [(n, _short(weights[n]), ranges.terms[n]) for n in weights]
     for name, weight, values in [*rows, ("sum, weighted", "", ranges.reward)]:
         expert = values[: ranges.expert_steps]
-        mean = f"{expert.mean():.3g}" if len(expert) else ""
-        cells = (name, weight, f"{values.min():.3g}", f"{values.max():.3g}", mean)
+        mean = _short(expert.mean()) if len(expert) else ""
+        cells = (name, weight, _short(values.min()), _short(values.max()), mean)
         table.add_row(*(Text(printable(cell)) for cell in cells))
     return table
+
+
+def _short(number: float) -> str:
+    """Three digits; no minus before a zero."""
+    return f"{number + 0.0:.3g}"

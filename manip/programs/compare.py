@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 from rich.table import Table
+from rich.text import Text
 
 from manip.errors import UserError
 from manip.evaluation.statistics import Rate, difference_of_rates
@@ -16,7 +17,7 @@ from manip.io.csv_text import csv_text
 from manip.io.output_paths import PLOT_FORMATS, check_output
 from manip.io.printable import printable
 from manip.programs import cli
-from manip.programs.output import console
+from manip.programs.output import console, print_path
 from manip.studies.run_groups import (
     MEASURE,
     NONE,
@@ -60,7 +61,7 @@ def main(arguments: Sequence[str]) -> int:
     _print_success(groups)
     for path in options.out:
         _write(groups, path)
-        console().print(str(path), highlight=False)
+        print_path(path)
     return 0
 
 
@@ -82,10 +83,10 @@ def _print_options(groups: Sequence[Group]) -> None:
         return
     table = Table(title="options that differ")
     for column in ("option", *(group.name for group in groups)):
-        table.add_column(printable(column), overflow="fold")
+        table.add_column(Text(printable(column)), overflow="fold")
     for name in names:
         values = [group.options.get(name, NONE) for group in groups]
-        table.add_row(*map(printable, (name, *values)))
+        table.add_row(*(Text(printable(cell)) for cell in (name, *values)))
     console().print(table)
 
 
@@ -95,13 +96,13 @@ def _print_success(groups: Sequence[Group]) -> None:
     table.add_column("runs")
     titles = ("seeds", "steps", "minutes", f"{MEASURE} [%]", "difference [points]")
     for title in titles:
-        table.add_column(title, justify="right")
+        table.add_column(Text(title), justify="right")
     for group in groups:
         row = _row(group, groups[0])
         rates = (_shown(row, "success_held"), _shown(row, "difference"))
         steps, minutes = f"{row['env_steps']:,}", f"{row['minutes']:.1f}"
         cells = (group.name, row["seeds"], steps, minutes, *rates)
-        table.add_row(*(printable(str(cell)) for cell in cells))
+        table.add_row(*(Text(printable(str(cell))) for cell in cells))
     console().print(table)
 
 

@@ -28,7 +28,16 @@ def is_unfinished(folder: Path, steps: int) -> bool:
         return False
     rows = read_metrics(folder / "metrics.csv")
     done = int(rows[-1]["env_steps"]) if rows else 0
-    return recorded(folder).steps == steps and done < steps
+    whole = steps if done < steps else steps + _extra_steps(folder)
+    return recorded(folder).steps == steps and done < whole
+
+
+def _extra_steps(folder: Path) -> int:
+    """Control steps that --until added to the run; 0 if its checkpoint is not read."""
+    try:
+        return int(Checkpoints(folder).load()["progress"]["extra_steps"])
+    except (UserError, KeyError):  # of another version
+        return 0
 
 
 def remove_finished(folder: Path) -> None:

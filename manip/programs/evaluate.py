@@ -13,7 +13,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from manip.cameras import Quality
-from manip.envs.external_task import library_of
+from manip.envs.external_task import simulator_of
 from manip.envs.make_batch import Backend
 from manip.errors import UserError, at_least
 from manip.evaluation.episode_table import episode_rows, episodes_csv
@@ -25,8 +25,9 @@ from manip.evaluation.stress_suite import load_suite
 from manip.io.atomic_files import write_text
 from manip.io.output_paths import check_output
 from manip.programs import cli
-from manip.programs.output import console
+from manip.programs.output import console, print_path
 from manip.sim.scene import Fidelity
+from manip.sim.warp.library import Device, check_library
 from manip.training.baselines import Baseline
 from manip.training.final_evaluation import (
     EvaluationOptions,
@@ -35,6 +36,8 @@ from manip.training.final_evaluation import (
     measure_on_task,
 )
 from manip.training.stress_evaluation import evaluate_under_stress
+
+STRESS_FILES = ("robustness.json", "robustness.csv", "robustness.png")
 
 EPISODES = "episodes.csv"
 
@@ -58,9 +61,10 @@ class Evaluate:
     untrained: a network as a training begins with it."""
     robot: str = "Panda"
     """Robot arm with --policy; a trained policy has its own."""
-    env: Backend = "stock"
+    env: Annotated[Backend, tyro.conf.arg(aliases=("--engine",))] = "stock"
     """Backend that simulates the episodes. stock: robosuite.make(...) itself, or the
-    library that defines the task; native: the batch engine, many times faster."""
+    library that defines the task; native: the batch engine, many times faster; warp:
+    MuJoCo Warp (the extra gpu), in float32: quote results of the other two."""
     episodes: int = 100
     """Number of episodes. More episodes narrow the intervals and take longer."""
     seed: int = 0
@@ -80,6 +84,14 @@ class Evaluate:
     image_quality: Quality = "exact"
     """Images of the native engine. exact: robosuite's bytes; lean: several times
     faster, without reflections and with fewer triangles."""
+    device: Device | None = None
+    """Device of MuJoCo Warp, cuda unless given."""
+    njmax: int | None = None
+    """Constraint rows that MuJoCo Warp allocates for an environment; as measured for
+    the task unless given."""
+    nconmax: int | None = None
+    """Contacts that MuJoCo Warp allocates for an environment, on average; as measured
+    for the task unless given."""
     json: Path | None = None
     """File for the result as JSON, besides the table."""
     out: Path | None = None
@@ -90,18 +102,27 @@ class Evaluate:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Evaluate, write the files, print the table."""
+    """Evaluate, write the files, print the table and the paths of the files."""
     options = cli.parse(Evaluate, arguments, "manip evaluate")
     _check(options)
     torch.set_num_threads(1)
     if options.perturb:
         console().print(_stress(options))
-        return 0
-    result = evaluate(options)
-    if options.json:
-        write_text(options.json, result.to_json())
-    console().print(table(result))
+    else:
+        result = evaluate(options)
+        if options.json:
+            write_text(options.json, result.to_json())
+        console().print(table(result))
+    for path in _files(options):
+        print_path(path)
     return 0
+
+
+def _files(options: Evaluate) -> list[Path]:
+    """The files that the options ask for."""
+    names = STRESS_FILES if options.perturb else ("eval.json", EPISODES)
+    listed = [options.out / name for name in names] if options.out else []
+    return [options.json, *listed] if options.json else listed
 
 
 def evaluate(options: Evaluate) -> Evaluation:
@@ -130,9 +151,10 @@ def _stress(options: Evaluate) -> Table:
     if options.json:
         write_text(options.json, result.to_json())
     if options.out:
-        write_text(options.out / "robustness.json", result.to_json())
-        write_text(options.out / "robustness.csv", result.to_csv())
-        draw_robustness(result, options.out / "robustness.png")
+        as_json, as_csv, figure = (options.out / name for name in STRESS_FILES)
+        write_text(as_json, result.to_json())
+        write_text(as_csv, result.to_csv())
+        draw_robustness(result, figure)
     return robustness_table(result)
 
 
@@ -145,6 +167,11 @@ def _check(options: Evaluate) -> None:
     at_least(0, "--seed", options.seed)
     if options.perturb and options.looks:
         raise UserError("--perturb changes looks itself: drop --looks")
+    warp_only = options.device, options.njmax, options.nconmax
+    if options.env != "warp" and any(value is not None for value in warp_only):
+        raise UserError("--device, --njmax and --nconmax are options of --env warp")
+    if options.env == "warp":
+        check_library(options.device or "cuda")
 
 
 def _episodes(options: Evaluate) -> EvaluationOptions:
@@ -157,6 +184,9 @@ def _episodes(options: Evaluate) -> EvaluationOptions:
         looks=options.looks,
         image_quality=options.image_quality,
         details=options.out is not None and not options.perturb,
+        device=options.device,
+        njmax=options.njmax,
+        nconmax=options.nconmax,
     )
 
 
@@ -164,5 +194,5 @@ def _episodes(options: Evaluate) -> EvaluationOptions:
 def _progress(options: Evaluate, task: str, total: int) -> Iterator[Count]:
     """A progress bar on stderr; yields the function that advances it."""
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        running = bar.add_task(f"{options.env} {library_of(task)}", total=total)
+        running = bar.add_task(simulator_of(options.env, task), total=total)
         yield lambda count: bar.advance(running, count)

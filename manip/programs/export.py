@@ -1,5 +1,6 @@
 """`manip export`: write a policy as ONNX, TorchScript or numpy arrays."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,7 @@ import torch
 import tyro
 
 from manip.agents.exports import SUFFIXES, Format, export_policy
+from manip.agents.policy_card import PolicyCard
 from manip.io.output_paths import check_output
 from manip.io.printable import printable
 from manip.programs import cli
@@ -30,18 +32,33 @@ class Export:
     """Run folder, policy folder, or name of a shipped policy (see `manip list`)."""
     out: Path
     """File to write: .onnx, .pt (torchscript) or .npz (numpy)."""
-    format: Format = "onnx"
-    """onnx: needs the extra `export`; torchscript: for torch.jit.load, also in C++;
-    numpy: arrays, for policies that see the state. `manip.deploy` runs onnx and
-    numpy."""
+    format: Format | None = None
+    """That of the file's ending unless given. onnx: needs the extra `export`;
+    torchscript: for torch.jit.load, also in C++; numpy: arrays, for policies that see
+    the state. `manip.deploy` runs onnx and numpy."""
 
 
 def main(arguments: Sequence[str]) -> int:
     """Write the file, and print how well it agrees with the policy."""
     options = cli.parse(Export, arguments, "manip export")
-    check_output(options.out, "--out", (SUFFIXES[options.format],))
+    kinds = [options.format] if options.format else [*SUFFIXES]
+    endings = {SUFFIXES[kind]: kind for kind in kinds}
+    check_output(options.out, "--out", endings)
     torch.set_num_threads(1)
     policy = with_interface(*load_run(options.policy))
-    worst = export_policy(policy, options.format, options.out)
+    worst = export_policy(policy, endings[options.out.suffix], options.out)
     print(printable(f"{options.out}: actions equal the policy's to {worst:.0e}"))
+    _note_missing_formulas(policy.card)
     return 0
+
+
+def _note_missing_formulas(card: PolicyCard) -> None:
+    """Say which parts of the observation cannot be computed from measurements."""
+    parts = [part.name for part in card.observation_spec.parts if part.role != "camera"]
+    missing = [name for name in parts if name not in card.formulas]
+    if missing:
+        print(
+            f"manip: no formula gives {', '.join(missing)} from measurements: compute "
+            "the observation yourself, as manip.deploy.runner cannot",
+            file=sys.stderr,
+        )

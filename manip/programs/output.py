@@ -6,9 +6,12 @@ import io
 import os
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, TextIO
 
 from rich.console import Console
+
+from manip.io.printable import printable
 
 Failure = Callable[[], OSError | None]
 
@@ -25,6 +28,11 @@ def console() -> Console:
     if not shown.is_terminal:
         shown.width = max(shown.width, PIPE_WIDTH)
     return shown
+
+
+def print_path(path: Path) -> None:
+    """Print the path of a file that was written, on one line."""
+    console().print(printable(str(path)), markup=False, highlight=False, soft_wrap=True)
 
 
 @contextlib.contextmanager

@@ -1,7 +1,9 @@
 """`manip record`: record episodes as a LeRobot, robomimic or Minari data set."""
 
+import shutil
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +12,7 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from manip.cameras import CameraConfig
+from manip.cameras import CameraConfig, Quality
 from manip.data.datasets import WRITERS, Format
 from manip.data.recorder import record_round
 from manip.data.stored_episode import Recording, StoredEpisode
@@ -66,6 +68,9 @@ class Record:
     sees, unless given."""
     image_size: int = 84
     """Height and width of the images [pixel], if the policy sees none."""
+    image_quality: Quality = "exact"
+    """Images that are recorded. exact: robosuite's bytes; lean: several times faster,
+    without reflections and with fewer triangles."""
     seed: int = 0
     """Seed of the episodes and of the noise."""
 
@@ -99,11 +104,26 @@ def record(options: Record) -> Path:
         observation=env.batch.observation_spec.to_dict(),
         seed=options.seed,
         noise=options.noise,
+        image_quality=options.image_quality,
     )
     with Progress(console=Console(stderr=True), transient=True) as bar:
         running = bar.add_task(card.task, total=options.episodes)
         episodes = _episodes(options, env, lambda: bar.advance(running))
-        return WRITERS[options.format](options.out, recording, episodes)
+        with _removed_on_failure(options.out):
+            return WRITERS[options.format](options.out, recording, episodes)
+
+
+@contextmanager
+def _removed_on_failure(folder: Path) -> Iterator[None]:
+    """Leave no part of a data set behind in a folder that was empty."""
+    existed = folder.is_dir()
+    try:
+        yield
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        if existed:
+            folder.mkdir(exist_ok=True)
+        raise
 
 
 def _check(options: Record) -> None:
@@ -133,8 +153,8 @@ def _env(options: Record, policy: AnyPolicy, task: Task) -> TaskEnv:
 def _cameras(options: Record, observed: CameraConfig | None) -> CameraConfig | None:
     """The cameras to record; those that a policy sees, without frames of the past."""
     if observed is None:
-        chosen = CameraConfig(options.cameras, options.image_size, "exact", 1)
-        return chosen if options.cameras else None
+        sizes = options.image_size, options.image_quality
+        return CameraConfig(options.cameras, *sizes, 1) if options.cameras else None
     if observed.frames > 1:
         raise UserError(
             f"the policy sees {observed.frames} frames of each camera, which data sets "
@@ -144,7 +164,7 @@ def _cameras(options: Record, observed: CameraConfig | None) -> CameraConfig | N
         raise UserError(
             f"the policy sees {', '.join(observed.names)}: only these can be recorded"
         )
-    return observed
+    return replace(observed, quality=options.image_quality)
 
 
 def _episodes(

@@ -3,12 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import torch
 import tyro
 
-from manip.envs.make_batch import Backend
 from manip.envs.task import Task
 from manip.errors import UserError, at_least, shown
 from manip.evaluation.episode_recording import RecordedEpisode, first_state, record
@@ -58,7 +57,7 @@ class Render:
     """Show so many episodes that failed (not success_held), of the first 100."""
     seed: int = 0
     """Seed of the episodes' random streams, the same as of `manip evaluate`."""
-    env: Backend = "native"
+    env: Literal["native", "stock"] = "native"
     """Backend that simulates the episodes. native: the batch engine with exact physics;
     stock: robosuite itself, slower."""
     policy: Baseline | None = None

@@ -13,18 +13,20 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 from manip.errors import UserError, at_least
+from manip.evaluation.episode_recording import Progress as Progressed
 from manip.io.atomic_files import write_text
 from manip.io.output_paths import check_output
 from manip.io.printable import printable
 from manip.programs import cli
 from manip.reports.films import Film, draw_films
 from manip.reports.page import make_page
-from manip.reports.recorded_episodes import Progress as Progressed
 from manip.reports.recorded_episodes import record_episodes
 from manip.reports.replays import make_replays
-from manip.reports.run_record import RunRecord, load_record
+from manip.reports.run_record import RunRecord, load_records
 from manip.reports.sections import RunSection, make_section
+from manip.reports.stored_results import stored_evaluation, stored_robustness
 from manip.sim.gl import use_backend
+from manip.training.run_folder import run_folders
 
 MOST_RUNS, MOST_EPISODES, MOST_REPLAYS, MOST_VIDEOS = 20, 1000, 200, 10
 """States are stored until the page is written, and the page must stay small."""
@@ -41,7 +43,8 @@ class Report:
     """
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Run folders, policy folders, or names of shipped policies (see `manip list`)."""
+    """Run folders, folders of run folders (of `manip train --seeds`, of a sweep),
+    policy folders, or names of shipped policies (see `manip list`)."""
     out: Path = Path("report.html")
     """HTML file to write."""
     episodes: int = 100
@@ -73,7 +76,10 @@ def make_report(options: Report, command: str) -> str:
     Raises:
         UserError: there is no such policy, or a video cannot be drawn here.
     """
-    records = [load_record(run) for run in options.runs]
+    records = load_records(_runs(options))
+    for record in records:  # files that the page shows, read before the episodes run
+        stored_evaluation(record.path)
+        stored_robustness(record.path)
     sections, films = [], []
     with Progress(console=Console(stderr=True), transient=True) as bar:
         for record in records:
@@ -86,8 +92,9 @@ def make_report(options: Report, command: str) -> str:
 
 
 def _check(options: Report) -> None:
-    if not 1 <= len(options.runs) <= MOST_RUNS:
-        raise UserError(f"name 1 to {MOST_RUNS} runs, not {len(options.runs)}")
+    number = len(_runs(options))
+    if not 1 <= number <= MOST_RUNS:
+        raise UserError(f"name 1 to {MOST_RUNS} runs, not {number}")
     cli.check_range("--episodes", options.episodes, 1, MOST_EPISODES)
     cli.check_range("--replays", options.replays, 0, MOST_REPLAYS)
     cli.check_range("--videos", options.videos, 0, MOST_VIDEOS)
@@ -95,6 +102,11 @@ def _check(options: Report) -> None:
     check_output(options.out, "--out", (".html",))
     if options.videos:
         use_backend()
+
+
+def _runs(options: Report) -> list[Path]:
+    """What RUN names, with the runs of a folder in its place."""
+    return [path for run in options.runs for path in run_folders(run) or [run]]
 
 
 def _section(

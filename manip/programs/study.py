@@ -17,7 +17,7 @@ from manip.io.atomic_files import write_text
 from manip.io.output_paths import check_output_folder
 from manip.preferences.tastes import load_taste
 from manip.programs import cli
-from manip.programs.output import console
+from manip.programs.output import console, print_path
 from manip.studies import gradient_figures, learning_figures
 from manip.studies.gradients import GradientRow, GradientStudy, measure
 from manip.studies.learning import (
@@ -27,6 +27,8 @@ from manip.studies.learning import (
     clipping_variants,
     evaluations,
 )
+from manip.studies.motion import MotionRow, default_policies, motion_rows
+from manip.studies.motion_figure import draw_motion
 from manip.studies.rlhf import PreferenceRow, PreferenceStudy
 from manip.studies.rlhf_figures import FIGURES
 from manip.studies.rlhf_scores import Scorer
@@ -71,10 +73,13 @@ class Study:
 
     rlhf: learning from preferences, with simulated labellers: methods at equal labels,
     over-optimisation, number of labels, inputs of the reward model, flawed labellers.
+
+    motion: peak speed, torque and jerk of each policy beside the arm's limits, tilt of
+    the hand, contacts of the arm with itself. Trains nothing.
     """
 
     what: Annotated[
-        Literal["gradients", "clipping", "asynchrony", "algorithms", "rlhf"],
+        Literal["gradients", "clipping", "asynchrony", "algorithms", "rlhf", "motion"],
         tyro.conf.Positional,
     ]
     """Study to run."""
@@ -101,8 +106,12 @@ class Study:
     """Parts of `rlhf`, a figure each; runs that several parts need are made once."""
     taste: str = "gentle"
     """Taste of the labellers of `rlhf` (see `manip list`)."""
+    policies: tuple[str, ...] = ()
+    """Policies of `motion`: run folders, policy folders, names of shipped policies; all
+    shipped ones unless given, except those that see images."""
     episodes: int = 100
-    """Episodes in which `rlhf` scores each policy; more give more accurate values."""
+    """Episodes in which `rlhf` and `motion` run each policy; more give more accurate
+    values."""
     processes: int | None = None
     """Number of runs at a time; one for each usable CPU unless given."""
     out: Path = Path("runs/study")
@@ -118,11 +127,11 @@ def main(arguments: Sequence[str]) -> int:
     rows = measure_rows(options)
     table = options.out / f"{options.what}.csv"
     write_text(table, _table(rows))
-    console().print(str(table), highlight=False)
+    print_path(table)
     for name, draw in figures(options).items():
         picture = options.out / f"{name}.png"
         draw(rows, picture)
-        console().print(str(picture), highlight=False)
+        print_path(picture)
     return 0
 
 
@@ -214,6 +223,14 @@ def _rlhf(options: Study) -> list[PreferenceRow]:
     return study.rows()
 
 
+def _motion(options: Study) -> list[MotionRow]:
+    rows = []
+    for row in motion_rows(options.policies or default_policies(), options.episodes):
+        rows.append(row)
+        console().print(f"{row.policy}: held {row.success_held:.0%}", highlight=False)
+    return rows
+
+
 STUDIES: dict[str, tuple[Measure, Figures]] = {
     "gradients": (
         _gradients,
@@ -235,6 +252,7 @@ STUDIES: dict[str, tuple[Measure, Figures]] = {
         _rlhf,
         lambda options: {f"rlhf-{part}": FIGURES[part] for part in options.parts},
     ),
+    "motion": (_motion, lambda _: {"motion": draw_motion}),
 }
 """Study -> the function that measures its rows, and the figures of these rows."""
 

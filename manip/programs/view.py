@@ -4,6 +4,7 @@ import os
 import platform
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -57,7 +58,7 @@ def main(arguments: Sequence[str]) -> int:
     settings = episode_settings(evaluation, policy, task)
     settings = replace(settings, first=options.episode)
     period = 1 / (policy.card.control_freq * options.speed)
-    with Window(first_state(settings).model()) as window:
+    with closing(Window(first_state(settings).model())) as window:
         while window.open:
             (episode,) = record(policy, settings)
             _show(window, episode, period)

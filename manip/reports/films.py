@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from manip.evaluation.episodes import Episode
+from manip.evaluation.episode_recording import RecordedEpisode
 from manip.io.video import save_animation
-from manip.reports.recorded_episodes import RecordedEpisodes, RecordedSteps
+from manip.reports.recorded_episodes import RecordedEpisodes
 from manip.reports.replays import chosen_episodes, outcome
 from manip.sim.renderer import render_frames
 
@@ -36,18 +36,18 @@ def draw_films(record: RecordedEpisodes, count: int) -> list[Film]:
     Raises:
         UserError: nothing can draw here.
     """
-    if record.steps is None:
+    recorder, rate = record.recorder, record.settings.robot.control_freq
+    if recorder is None:
         return []
-    chosen = chosen_episodes(record.episodes, count)
-    steps, rate = record.steps, record.settings.robot.control_freq
     return [
-        Film(each.index, outcome(each), _video(steps, each, rate)) for each in chosen
+        Film(each.index, outcome(each), _video(recorder.recorded(each), rate))
+        for each in chosen_episodes(record.episodes, count)
     ]
 
 
-def _video(steps: RecordedSteps, episode: Episode, rate: int) -> bytes:
-    model, states = steps.model(episode), steps.states(episode)
-    frames = render_frames(model, states, width=WIDTH, height=HEIGHT)
+def _video(episode: RecordedEpisode, rate: int) -> bytes:
+    model, poses = episode.model(), episode.poses
+    frames = render_frames(model, poses, width=WIDTH, height=HEIGHT)
     with TemporaryDirectory(prefix="manip-") as folder, closing(frames):
         path = Path(folder) / "film.mp4"
         save_animation(path, frames, rate)

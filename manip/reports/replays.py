@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from manip.envs.task_batch import TaskBatch
+from manip.evaluation.episode_recording import RecordedEpisode
 from manip.evaluation.episodes import Episode
 from manip.io.glb import Motion, Node, Surface, write_glb
-from manip.reports.recorded_episodes import RecordedEpisodes, RecordedSteps
+from manip.reports.recorded_episodes import RecordedEpisodes
 from manip.sim.replay_scene import Part, PoseReader, replay_parts
 from manip.sim.triangles import Triangles
 
@@ -43,23 +45,24 @@ def chosen_episodes(episodes: Sequence[Episode], count: int) -> list[Episode]:
 
 def make_replays(record: RecordedEpisodes, count: int) -> Replays | None:
     """Make the replays of at most `count` episodes; None if no states are recorded."""
-    chosen, steps = chosen_episodes(record.episodes, count), record.steps
-    if steps is None or not chosen:
+    chosen, recorder = chosen_episodes(record.episodes, count), record.recorder
+    if recorder is None or not chosen:
         return None
-    model = steps.batch.scene.visual
+    played, batch = [recorder.recorded(each) for each in chosen], recorder.batch
+    model = played[0].model()
     reader = PoseReader(model)
     motions = {
-        str(episode.index): _motion(steps, episode, reader) for episode in chosen
+        str(each.episode.index): _motion(each, batch.control_dt, reader)
+        for each in played
     }
     nodes = [_node(part) for part in replay_parts(model)]
-    timelines = [_timeline(steps, episode) for episode in chosen]
+    timelines = [_timeline(each, batch) for each in played]
     return Replays(write_glb(nodes, motions), timelines)
 
 
-def _motion(steps: RecordedSteps, episode: Episode, reader: PoseReader) -> Motion:
-    states = steps.states(episode)
-    times = np.arange(len(states)) * steps.batch.engine.control_dt
-    return Motion(times, *reader.read(steps.model(episode), states))
+def _motion(played: RecordedEpisode, control_dt: float, reader: PoseReader) -> Motion:
+    times = np.arange(len(played.poses)) * control_dt
+    return Motion(times, *reader.read(played.model(), played.poses))
 
 
 def _node(part: Part) -> Node:
@@ -83,21 +86,20 @@ def _joined(surfaces: Iterable[tuple[Triangles, Array]]) -> Surface:
     )
 
 
-def _timeline(steps: RecordedSteps, episode: Episode) -> dict[str, Any]:
+def _timeline(played: RecordedEpisode, batch: TaskBatch) -> dict[str, Any]:
     """Number, length [s], outcome, reward of each step, and the spans of milestones.
 
     A span is [begin, end] in shares of the episode.
     """
-    rows, batch = (slice(0, episode.steps), episode.env_id), steps.batch
-    names = batch.task.milestone_names
-    flags = dict(zip(names, steps.milestones[rows].T, strict=True))
-    flags["success"] = steps.success[rows]
+    episode, names = played.episode, batch.task.milestone_names
+    flags = dict(zip(names, played.milestones.T, strict=True))
+    flags["success"] = played.success
     weights = np.array([*batch.reward_weights.values()])
     return {
         "number": episode.index,
-        "seconds": round((episode.steps - 1) * batch.engine.control_dt, 4),
+        "seconds": round((episode.steps - 1) * batch.control_dt, 4),
         "outcome": outcome(episode),
-        "reward": np.round(steps.terms[rows] @ weights, 3).tolist(),
+        "reward": np.round(played.terms @ weights, 3).tolist(),
         "spans": {name: _spans(flag) for name, flag in flags.items()},
     }
 

@@ -1,6 +1,7 @@
 """RunRecord: what the folder of a run, or a policy, says about its training."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from manip.agents.policy import Policy
@@ -22,6 +23,7 @@ class RunRecord:
         config: options of the training; None if they are not recorded.
         rows: rows of metrics.csv; see `read_numbers`.
         note: why the record of the training is missing, else "".
+        parts: number of the last parts of the path that are its name.
     """
 
     path: Path
@@ -30,11 +32,13 @@ class RunRecord:
     config: TrainConfig | None
     rows: list[dict[str, float]]
     note: str = ""
+    parts: int = 1
 
     @property
     def name(self) -> str:
         """Short name, for legends and headings."""
-        return printable(self.path.name or str(self.path))
+        last = "/".join(self.path.parts[-self.parts :])
+        return printable(last or str(self.path))
 
     @property
     def title(self) -> str:
@@ -58,6 +62,18 @@ class RunRecord:
         """Term -> weight that the training paid."""
         given = parse_weights(self.config.reward_weights) if self.config else {}
         return {**self.task.weights[self.reward_set], **given}
+
+
+def load_records(runs: Sequence[Path]) -> list[RunRecord]:
+    """Read several; names have as many parts of the paths as tell them apart.
+
+    Raises:
+        UserError: as `load_record`.
+    """
+    parts, longest = 1, max(len(run.parts) for run in runs)
+    while parts < longest and len({run.parts[-parts:] for run in runs}) < len(runs):
+        parts += 1
+    return [replace(load_record(run), parts=parts) for run in runs]
 
 
 def load_record(run: Path) -> RunRecord:

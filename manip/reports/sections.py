@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from manip.envs.external_task import library_of
+from manip.envs.external_task import simulator_of
 from manip.evaluation.diagnosis import PAGE, diagnose
 from manip.evaluation.episode_table import motion_summary
 from manip.evaluation.episodes import Episode
@@ -119,7 +119,7 @@ def make_section(
         result=summarise(episodes, names),
         episodes=_rows(record, episodes, replays),
         seed=settings.seed,
-        backend=f"{settings.backend} {library_of(record.policy.card.task)}",
+        backend=simulator_of(settings.backend, record.policy.card.task),
         stages=stages,
         grade=grade(stages),
         sentences=[
@@ -181,22 +181,20 @@ def _terms(
     record: RunRecord, played: RecordedEpisodes, usual: Mapping[str, float]
 ) -> list[TermRow]:
     """The terms that the episodes measured: those of the evaluation's reward set."""
-    if played.steps is None:
+    recorder = played.recorder
+    if recorder is None:
         return []
-    terms, names = played.steps.terms, played.steps.batch.reward_names
-    lengths = np.array([episode.steps for episode in played.episodes])
-    inside = np.arange(len(terms))[:, None] < lengths
-    sums = np.where(inside[..., None], terms, 0).sum(0) / lengths[:, None]
+    means = np.stack([recorder.recorded(e).terms.mean(0) for e in played.episodes])
     solved = np.array([episode.success_held for episode in played.episodes])
     return [
         TermRow(
             name=name,
             paid=record.reward_weights.get(name, 0.0),
             usual=usual.get(name, 0.0),
-            solved=_mean(sums[solved, index]),
-            others=_mean(sums[~solved, index]),
+            solved=_mean(means[solved, index]),
+            others=_mean(means[~solved, index]),
         )
-        for index, name in enumerate(names)
+        for index, name in enumerate(recorder.batch.reward_names)
     ]
 
 

@@ -16,6 +16,9 @@ KINDS = (
 )
 """First part of a column of metrics.csv, and where its numbers come from."""
 
+EVALUATED = ("eval/success_held", "curve/success_held")
+"""Columns of which a row with an evaluation has one."""
+
 _STEPS = Axis("control steps [thousand]", low=0.0, scale=1e-3)
 _SHARE = Axis("", low=0.0, high=100.0, scale=100.0, unit=" %")
 _VALUE = Axis("")
@@ -54,15 +57,14 @@ def learner_charts(record: RunRecord) -> list[Markup]:
 def compared_charts(records: Sequence[RunRecord]) -> list[Markup]:
     """Success and return of all runs over each other."""
     lasting = [
-        Line(record.name, *_points(record.rows, "eval/success_held"))
-        for record in records
+        Line(record.name, *_points(record.rows, *EVALUATED)) for record in records
     ]
     returns = [
-        Line(record.name, *_points(record.rows, "eval/return")) for record in records
+        Line(record.name, *_points(record.rows, "train/return")) for record in records
     ]
     charts = [
         line_chart("success_held in evaluations", lasting, _STEPS, _SHARE),
-        line_chart("Return in evaluations", returns, _STEPS, _VALUE),
+        line_chart("Return of training episodes", returns, _STEPS, _VALUE),
     ]
     return [chart for chart in charts if chart]
 
@@ -85,8 +87,8 @@ def _curves(
 
 
 def _points(
-    rows: Sequence[Mapping[str, float]], column: str
+    rows: Sequence[Mapping[str, float]], *columns: str
 ) -> tuple[list[float], list[float]]:
-    """Control steps and values of the rows that have the column."""
-    known = [row for row in rows if column in row]
-    return [row["env_steps"] for row in known], [row[column] for row in known]
+    """Control steps and values of the rows that have one of the columns."""
+    known = [(row["env_steps"], row[c]) for row in rows for c in columns if c in row]
+    return [steps for steps, _ in known], [value for _, value in known]

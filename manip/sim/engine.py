@@ -116,7 +116,7 @@ class Engine(Protocol):
         """Named readings [N, k] of all environments, read-only.
 
         They may be views that the next call of another method changes: copy what must
-        stay. Names are listed at `BatchEngine.read`.
+        stay. Names are listed at `RowEngine.read`.
         """
 
     def save(self, env_ids: Array | slice = slice(None)) -> Snapshot:

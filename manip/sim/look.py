@@ -9,6 +9,8 @@ from manip.sim.thin_meshes import ARM_BODIES
 
 Array = np.ndarray
 
+USUAL = 0.25
+"""Fraction of the episodes in training that have robosuite's own look."""
 TINT = 0.3
 """Largest relative change of each colour channel."""
 RETEXTURED = 0.7
@@ -36,10 +38,10 @@ _CHANGED = {
 class Look:
     """Give a model the look of a seed, in place.
 
-    The share of the ranges above in which a look's changes are drawn is itself uniform
-    from 0 to the strength, so that robosuite's own look, whose white table is at the
-    edge of all colours, is among them. Unseen looks lie on the edges of the ranges, and
-    their textures are of other patterns.
+    A fraction USUAL of the looks is robosuite's own, whose white table is at the edge
+    of all colours. The others use a share of the ranges above that is uniform from 0 to
+    the strength. Unseen looks lie on the edges of the ranges, and their textures are of
+    other patterns.
 
     Args:
         model: with the additional textures.
@@ -63,7 +65,8 @@ class Look:
     def apply(self, seed: int) -> None:
         """Change the model to the look of a seed."""
         rng = np.random.Generator(np.random.Philox(key=seed))
-        self._share = self._looks.strength * rng.random()
+        varied = max(0.0, (rng.random() - USUAL) / (1 - USUAL))
+        self._share = self._looks.strength * varied
         for group in self._looks.groups:
             getattr(self, f"_change_{group}")(rng)
 

@@ -3,8 +3,8 @@
 import mujoco
 import numpy as np
 
-from manip.sim.batch_engine import BatchEngine
 from manip.sim.not_copied import DeepCopied
+from manip.sim.row_engine import RowEngine
 from manip.sim.scene import Scene
 from manip.sim.state_row import PEAKS
 
@@ -27,7 +27,7 @@ class RobotMotion(DeepCopied):
             scene.physics, robot.robot_model.naming_prefix
         )
 
-    def read(self, engine: BatchEngine) -> dict[str, Array]:
+    def read(self, engine: RowEngine) -> dict[str, Array]:
         """The motion of the last control period.
 
         joint_vel, peak_speed [N, n] rad/s; peak_torque [N, n] N m; hand_tilt [N, 1]

@@ -56,6 +56,7 @@ class Scene(NotCopied):
         with_peaks: whether the readings include `peak_speed` [N, n] rad/s and
             `peak_torque` [N, n] N m, the largest ones of each joint of the arm over
             the substeps of the last control period.
+        parked: bodies that the task places out of the way (`Sensors.parked`).
     """
 
     physics: mujoco.MjModel
@@ -68,6 +69,7 @@ class Scene(NotCopied):
     control_dt: float
     varied: tuple[Slot, ...] = ()
     with_peaks: bool = False
+    parked: tuple[str, ...] = ()
 
     @property
     def nq(self) -> int:
@@ -139,6 +141,7 @@ def build_scene(
         touch_of_sensor=np.array(touch_of_sensor, dtype=np.int64),
         substeps=round(1 / control_freq / dt),
         control_dt=1 / control_freq,
+        parked=sensors.parked,
     )
 
 

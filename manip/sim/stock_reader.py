@@ -18,7 +18,7 @@ Array = np.ndarray
 
 
 def stock_reader(stock: Any, sensors: Sensors) -> Callable[[], dict[str, Array]]:
-    """Build a function that reads a stock environment as `BatchEngine.read` does.
+    """Build a function that reads a stock environment as `RowEngine.read` does.
 
     Returns:
         A function that returns the same names, with read-only arrays [1, k]. A hard

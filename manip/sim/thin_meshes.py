@@ -7,7 +7,7 @@ from manip.sim.vertex_clusters import cluster_means, clusters, distinct_faces
 
 Array = np.ndarray
 
-CELL = 0.01
+CELL = 0.02
 """Size of a cell [m]. The gripper, which the wrist camera sees from near by, and
 objects stay as they are: at 1 cm a can has no shape."""
 

@@ -2,7 +2,6 @@
 
 import os
 import warnings
-from types import TracebackType
 from typing import Any
 
 import mujoco
@@ -48,15 +47,8 @@ class Window:
             mujoco.mj_forward(self._model, self._data)
         self._viewer.sync()
 
-    def __enter__(self) -> "Window":
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Close the window."""
         self._viewer.close()
 
 

@@ -28,6 +28,7 @@ def draw_comparison(groups: Sequence[Group], path: Path) -> None:
         for place, group in enumerate(groups):
             _draw(axes, group, columns, factor, f"C{place % 10}")
         axes.set(xlabel="control steps [thousand]", ylabel=label)
+        axes.set_xlim(left=0)
         if "%" in label:
             axes.set_ylim(-3, 103)
     figure.suptitle("learning curves: mean and range over training seeds")
@@ -37,7 +38,7 @@ def draw_comparison(groups: Sequence[Group], path: Path) -> None:
 def _draw(
     axes: Axes, group: Group, columns: Sequence[str], factor: float, color: str
 ) -> None:
-    label = f"{group.name} ({len(group.runs)})"
+    seeds = f", {len(group.runs)} seeds" if len(group.runs) > 1 else ""
     steps, values = curve(group.runs, columns)
     marker = "o" if len(steps) < 30 else ""
     axes.plot(
@@ -45,7 +46,7 @@ def _draw(
         color=color,
         marker=marker,
         ms=3,
-        label=label,
+        label=group.name + seeds,
     )
     low, high = factor * values.min(0), factor * values.max(0)
     axes.fill_between(steps / 1000, low, high, color=color, alpha=0.2, lw=0)

@@ -9,6 +9,7 @@ from typing import Any
 from manip.errors import UserError, one_line
 from manip.evaluation.statistics import Rate, SeedCount, rate_over_seeds
 from manip.training.config import TrainConfig, lasting, recorded
+from manip.training.run_folder import run_folders
 from manip.training.run_logs import read_numbers
 
 MEASURE = "success_held"
@@ -87,7 +88,7 @@ def load_runs(folders: Sequence[Path]) -> list[Run]:
     Raises:
         UserError: a folder holds no run, or a damaged one; one is given twice.
     """
-    paths = [path for folder in folders for path in _run_folders(folder)]
+    paths = [path for folder in folders for path in _named(folder)]
     places = [path.resolve() for path in paths]
     for path, place in zip(paths, places, strict=True):
         if places.count(place) > 1:
@@ -95,16 +96,14 @@ def load_runs(folders: Sequence[Path]) -> list[Run]:
     return [_load(path) for path in paths]
 
 
-def _run_folders(folder: Path) -> list[Path]:
-    if (folder / "config.yaml").is_file():
-        return [folder]
-    paths = [*folder.glob("*/config.yaml"), *folder.glob("runs/*/config.yaml")]
+def _named(folder: Path) -> list[Path]:
+    paths = run_folders(folder)
     if not paths:
         raise UserError(
             f"{folder} holds no run: name a run folder (with config.yaml), or a folder "
             "of run folders"
         )
-    return sorted(path.parent for path in paths)
+    return paths
 
 
 def _load(folder: Path) -> Run:

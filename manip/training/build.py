@@ -71,11 +71,22 @@ def training_env(config: TrainConfig, group: int, groups: int) -> TaskEnv:
         first_env=group * num_envs,
         stagger=True,
         restart_fraction=config.restart_fraction,
+        **_engine_options(config),
     )
     batch.stop_at_faults = config.faults == "stop"
     clips = config.preferences is not None
     measures = clips or bool(config.taste)
     return TaskEnv(batch, expert_of(config, batch), measures=measures, states=clips)
+
+
+def _engine_options(config: TrainConfig) -> dict[str, Any]:
+    """The options of `make_batch` for the engine of the training environments."""
+    chosen = {name: getattr(config, name) for name in ("device", "njmax", "nconmax")}
+    if config.engine == "warp":
+        return {"backend": "warp", **chosen}
+    if any(value is not None for value in chosen.values()):
+        raise UserError("--device, --njmax and --nconmax are options of --engine warp")
+    return {}
 
 
 def evaluation_env(config: TrainConfig) -> TaskEnv:
@@ -192,6 +203,7 @@ def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Po
         image_quality=config.image_quality if encoders else "",
         looks=config.looks,
         randomised=[each.to_dict() for each in load_randomisation(config.randomise)],
+        waypoint_fraction=config.waypoint_fraction,
         env_steps=steps,
         seed=config.seed,
         versions=versions(),

@@ -15,14 +15,15 @@ from manip.io.yaml_files import read_yaml
 from manip.preferences.label_options import LabelOptions
 from manip.robot_config import RobotConfig
 from manip.sim.scene import Fidelity
+from manip.sim.warp.library import Device
 from manip.training.reward_weights import parse_weights
 
 Controller = Literal["OSC_POSE", "OSC_POSITION", "JOINT_POSITION", "JOINT_VELOCITY"]
 
 MAY_CHANGE = {
-    *("out", "resume", "steps", "threads", "wandb"),
+    *("out", "resume", "steps", "until", "threads", "wandb"),
     *("eval_every", "eval_episodes", "curve_episodes", "checkpoint_every", "faults"),
-    *("save_buffer", "preferences"),
+    *("save_buffer", "preferences", "njmax", "nconmax"),
 }
 """Options that may change when a run is resumed; the others made it what it is."""
 
@@ -57,6 +58,10 @@ class TrainConfig:
     """Continue the run in the run folder from its latest checkpoint."""
     steps: Annotated[int, COUNT] = 100_000
     """Control steps to train for, all environments together."""
+    until: Annotated[float, SHARE] = 0.0
+    """Share of success_held that the run is to reach: while its best evaluation is
+    below it at the end, training goes on by a third of --steps, at most three times.
+    More --eval-episodes decide this better."""
     num_envs: Annotated[int, COUNT] = 32
     """Number of environments that are stepped in parallel. With more of them, policies
     are updated less often per control step."""
@@ -103,6 +108,19 @@ class TrainConfig:
     fidelity: Fidelity = "fast"
     """Physics of training. exact: as stock robosuite; fast: larger time steps, and no
     collisions of the arm's links. Evaluation always uses exact physics."""
+    engine: Literal["native", "warp"] = "native"
+    """Engine that steps the training environments. native: MuJoCo's C code; warp:
+    MuJoCo Warp on an NVIDIA GPU (the extra gpu, docs/gpu.md). Evaluations always use
+    the native engine."""
+    device: Device | None = None
+    """Device of --engine warp, cuda unless given. cpu: the same kernels on one core, to
+    try and to test them."""
+    njmax: Annotated[int | None, COUNT] = None
+    """Constraint rows that --engine warp allocates for an environment; as measured for
+    the task unless given. A larger number takes more memory and time."""
+    nconmax: Annotated[int | None, COUNT] = None
+    """Contacts that --engine warp allocates for an environment, on average; as measured
+    for the task unless given."""
     reward: Literal["shaped", "stock"] = "shaped"
     """Reward set: manip's own, or robosuite's shaped reward."""
     reward_weights: tuple[str, ...] = ()
@@ -110,6 +128,10 @@ class TrainConfig:
     `lift=0.6 reach=0.1`. A larger weight pays more for the term."""
     restart_fraction: Annotated[float, SHARE] = 0.0
     """Fraction of training episodes that start from a previously visited state."""
+    waypoint_fraction: Annotated[float, SHARE] = 0.0
+    """Fraction of training episodes that start from a waypoint of the task: a state in
+    the middle of it, generated before the training (docs/waypoints.md). The fraction
+    falls to a tenth as the success from waypoints rises."""
     init: str | None = None
     """Policy that the actor starts from (fine-tuning): a run folder, or the name of a
     shipped policy. The critics are new."""
@@ -118,7 +140,7 @@ class TrainConfig:
     of the action's range]: larger explores more."""
     cool_down: Annotated[float, SHARE] = 0.0
     """Last fraction of --steps in which learning rates fall linearly to zero. A
-    finished run that is resumed with more steps starts at the full rates again."""
+    run that goes on with more steps has them fall anew."""
     threads: Annotated[int | None, COUNT] = None
     """Threads of simulation and learner; all CPUs of this process unless given. The
     number changes the speed only."""
@@ -271,4 +293,7 @@ def recorded(folder: Path) -> TrainConfig:
         raise UserError(f"{path} is damaged: expected a mapping of options")
     values.pop("versions", None)
     check_algorithm_origin(str(values.get("algo", "sac")), folder)
-    return from_dict(values)
+    try:
+        return from_dict(values)
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from error

@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from manip.agents.agent import Agent
 from manip.agents.policy import Policy
+from manip.agents.policy_card import PolicyCard
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.task_batch import TaskBatch
 from manip.evaluation.episodes import run_episodes
@@ -75,6 +76,7 @@ class Evaluator:
         self._config = config
         self.env = evaluation_env(config)
         self._curve_env = curve_env(config, training)
+        self._card: PolicyCard | None = None
 
     def __call__(self, agent: Agent, env_steps: int) -> PolicyEvaluation:
         """Evaluate an agent's policy after `env_steps` control steps of training."""
@@ -88,7 +90,7 @@ class Evaluator:
     def _evaluate(
         self, kind: Kind, agent: Agent, env_steps: int, env: TaskEnv
     ) -> PolicyEvaluation:
-        policy = policy_of(agent, self._config, self.env, env_steps)
+        policy = self._policy(agent, env_steps)
         env.batch.restart()
         episodes = run_episodes(env, policy, env.batch.num_envs)
         result: dict[str, Any] = summarise(episodes, env.batch.task.milestone_names)
@@ -105,3 +107,9 @@ class Evaluator:
             mean_return=mean_return,
             milestones=result["milestones"],
         )
+
+    def _policy(self, agent: Agent, env_steps: int) -> Policy:
+        """As `policy_of`; only the steps of the card change in a run."""
+        if self._card is None:
+            self._card = policy_of(agent, self._config, self.env, env_steps).card
+        return Policy(replace(self._card, env_steps=env_steps), agent.actor)

@@ -3,7 +3,7 @@
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from manip.agents.policy import Policy, load_policy
 from manip.cameras import CameraConfig, Quality
@@ -17,6 +17,7 @@ from manip.evaluation.report import Evaluation, summarise
 from manip.evaluation.runners import EpisodeSettings, Progress, evaluate_policy
 from manip.preferences.tastes import load_taste
 from manip.sim.scene import Fidelity
+from manip.sim.warp.library import Device
 from manip.training.baselines import AnyPolicy, Baseline, load_baseline
 from manip.training.checkpoint_policy import is_checkpoint, policy_of_checkpoint
 from manip.versions import versions
@@ -40,6 +41,7 @@ class EvaluationOptions:
         looks: suite of looks, see `manip.looks`; None for robosuite's own look.
         image_quality: of the native engine's images.
         details: whether the episodes have `Episode.details`.
+        device, njmax, nconmax: as in `WarpBatch`, for the warp backend.
     """
 
     env: Backend = "stock"
@@ -51,6 +53,9 @@ class EvaluationOptions:
     looks: str | None = None
     image_quality: Quality = "exact"
     details: bool = False
+    device: Device | None = None
+    njmax: int | None = None
+    nconmax: int | None = None
 
 
 def load_policy_and_task(
@@ -106,28 +111,35 @@ def measure_on_task(
     Raises:
         UserError: the task lacks a part that the policy observes, or has no such taste.
     """
-    card, settings = policy.card, episode_settings(options, policy, task)
+    settings = episode_settings(options, policy, task)
     began = time.monotonic()
     episodes = evaluate_policy(policy, settings, progress, options.processes)
     result = Evaluation(
-        task=card.task,
-        robot=card.robot,
-        algo=card.algo,
-        env=options.env,
-        fidelity=settings.fidelity,
-        episodes=options.episodes,
-        seed=options.seed,
+        **evaluated(policy, settings),
         purpose=settings.purpose.name.lower(),
-        env_steps_trained=card.env_steps,
+        env_steps_trained=policy.card.env_steps,
         **summarise(episodes, task.milestone_names),
         seconds=time.monotonic() - began,
         versions=versions(),
         taste=options.taste,
         looks=options.looks,
         image_quality=settings.cameras.quality if settings.cameras else None,
-        motion=motion_summary(episodes, card.robot),
+        motion=motion_summary(episodes, policy.card.robot),
     )
     return Measured(result, episodes)
+
+
+def evaluated(policy: AnyPolicy, settings: EpisodeSettings) -> dict[str, Any]:
+    """The fields of `EvaluatedPolicy`."""
+    return {
+        "task": policy.card.task,
+        "robot": policy.card.robot,
+        "algo": policy.card.algo,
+        "env": settings.backend,
+        "fidelity": settings.fidelity,
+        "episodes": settings.episodes,
+        "seed": settings.seed,
+    }
 
 
 def check_episodes(episodes: int, least: int = 1) -> None:
@@ -157,6 +169,9 @@ def episode_settings(
         taste=load_taste(policy.card.task, options.taste) if options.taste else None,
         looks=options.looks,
         details=options.details,
+        device=options.device,
+        njmax=options.njmax,
+        nconmax=options.nconmax,
     )
 
 

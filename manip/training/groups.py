@@ -14,6 +14,8 @@ def groups_of(config: TrainConfig) -> int:
     """
     if config.collectors > 1:
         _check_collectors(config)
+    if config.engine == "warp":
+        _check_one_group(config)
     groups = max(config.agent.workers, config.collectors)
     if config.num_envs % groups:
         kind = "collectors" if config.collectors > 1 else "workers"
@@ -22,6 +24,14 @@ def groups_of(config: TrainConfig) -> int:
             f"choose a multiple of {groups}"
         )
     return groups
+
+
+def _check_one_group(config: TrainConfig) -> None:
+    if config.collectors > 1 or config.agent.workers > 1:
+        raise UserError(
+            "--engine warp steps all environments at once: leave out --collectors, and "
+            "choose an algorithm without workers"
+        )
 
 
 def _check_collectors(config: TrainConfig) -> None:

@@ -30,7 +30,8 @@ def check_memory(config: TrainConfig, spaces: Spaces) -> None:
     copies = load_algorithm(config.algo).image_copies
     step = row_bytes(*dims, spaces.inputs.cameras, copies)
     _compare(capacity * step, address_space(), capacity)
-    _compare(min(capacity, config.steps) * step, available_memory(), capacity)
+    extra = config.steps if config.until else 0
+    _compare(min(capacity, config.steps + extra) * step, available_memory(), capacity)
 
 
 def _compare(needed: int, available: int, capacity: int) -> None:

@@ -46,6 +46,11 @@ def resume(config: TrainConfig, parts: RunParts, checkpoints: Checkpoints) -> Ru
     parts.averages.episodes.extend(state.episodes)
     parts.averages.terms.extend(state.reward_terms)
     _warn_of_versions(saved["versions"])
+    if config.engine == "warp":
+        warnings.warn(
+            "--engine warp: the run continues from the saved states, not bit for bit",
+            stacklevel=2,
+        )
     if state.env_steps:
         _warn_of_buffer(saved["agent"])
     return state

@@ -26,6 +26,17 @@ _BEFORE_TRAINING = {"run.lock", "config.yaml", "checkpoints"}
 """What a run may have written before its first checkpoint."""
 
 
+def run_folders(folder: Path) -> list[Path]:
+    """The folder itself if it holds a run; else the runs of a folder of these.
+
+    Such folders are written by `manip train --seeds` and `manip sweep`.
+    """
+    if (folder / "config.yaml").is_file():
+        return [folder]
+    paths = [*folder.glob("*/config.yaml"), *folder.glob("runs/*/config.yaml")]
+    return sorted(path.parent for path in paths)
+
+
 def check_run_folder(config: TrainConfig) -> None:
     """Check that a run may write to its folder, before any work.
 

@@ -6,7 +6,6 @@ import os
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
@@ -172,15 +171,8 @@ class RunLog:
         if wandb_project:
             self._wandb = _wandb_logger(folder, wandb_project, options)
 
-    def __enter__(self) -> "RunLog":
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Write what is not written yet, and close the files."""
         self._board.close()
 
     def write(self, row: Row) -> None:

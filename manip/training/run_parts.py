@@ -24,6 +24,7 @@ from manip.training.preferences import (
     with_taste,
 )
 from manip.training.teacher import teacher_digest
+from manip.training.waypoints import add_waypoints
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,10 @@ def here(config: TrainConfig, envs: Sequence[TaskEnv]) -> list[Rollout]:
 
 
 def build_parts(
-    config: TrainConfig, reward: RewardFunction, place: Place = here
+    config: TrainConfig,
+    reward: RewardFunction,
+    place: Place = here,
+    report: Callable[[str], object] = lambda _: None,
 ) -> RunParts:
     """Build the environments and the agent of a run.
 
@@ -81,6 +85,7 @@ def build_parts(
         config: options of the run.
         reward: computes the reward that the agent learns from.
         place: where the environments are stepped.
+        report: called with lines about what takes long.
 
     Raises:
         UserError: an option does not fit, or there is not enough memory.
@@ -88,6 +93,7 @@ def build_parts(
     check_preferences(config)
     check_dataset(config)
     envs = training_envs(config)
+    add_waypoints(config, envs, report)
     evaluator = Evaluator(config, envs[0].batch)
     check_memory(config, spaces_of(config, evaluator.env))
     agent = build_agent(config, evaluator.env)

@@ -16,6 +16,8 @@ class RunState:
 
     Attributes:
         env_steps: control steps taken, all environments together.
+        extra_steps: control steps by which the run is longer than --steps, because it
+            was to reach --until.
         seconds: wall time of training and evaluation [s].
         cpu_seconds: computing time of all threads, without evaluations [s].
         best: success_held and return of the best evaluation; empty before the first.
@@ -27,6 +29,7 @@ class RunState:
     """
 
     env_steps: int = 0
+    extra_steps: int = 0
     seconds: float = 0.0
     cpu_seconds: float = 0.0
     best: list[float] = field(default_factory=list)
@@ -55,6 +58,7 @@ def run_state(values: Any, milestones: int, terms: int) -> RunState:
     if not isinstance(values, dict) or not isinstance(values.get("episodes"), list):
         raise UserError("the run's state must be a mapping with a list of episodes")
     episodes = [episode_of(episode, milestones) for episode in values["episodes"]]
+    values = {"extra_steps": 0} | values  # older checkpoints do not have it
     state = build(RunState, values | {"episodes": episodes})
     state.rows = [renamed(row) for row in state.rows]
     missing = RunState().to_dict().keys() - values.keys()
@@ -77,7 +81,7 @@ def episode_of(values: Any, milestones: int) -> Episode:
 
 
 def _check_numbers(state: RunState) -> None:
-    for name in ("env_steps", "lost_updates", "seconds", "cpu_seconds"):
+    for name in ("env_steps", "extra_steps", "lost_updates", "seconds", "cpu_seconds"):
         value = getattr(state, name)
         _require(
             isfinite(value) and 0 <= value <= MOST,

@@ -7,6 +7,9 @@ LEAST_ROWS = 100
 """Rows that a run of few rollouts has at least: those within a rollout have the results
 of its episodes only."""
 
+EXTENSIONS = 3
+"""Times that a run below its goal is prolonged, each by a third of its steps."""
+
 PARTS = 10
 """Equal parts of a run, each of which has an evaluation at least."""
 
@@ -28,6 +31,16 @@ def row_due(before: int, now: int, steps: int) -> bool:
     """
     every = -(-steps // ROWS)
     return now // every > before // every
+
+
+def extended(steps: int, extra: int) -> int:
+    """Control steps to add to a planned number, now that the run is below its goal.
+
+    Args:
+        steps: planned.
+        extra: added so far.
+    """
+    return min(extra + -(-steps // EXTENSIONS), steps)
 
 
 def next_choice(now: int, every: int, steps: int) -> int:

@@ -11,7 +11,11 @@ from manip.evaluation.runners import EpisodeSettings, Progress, evaluate_policy
 from manip.evaluation.stress_suite import Stress
 from manip.sim.scene import load_scene
 from manip.training.baselines import AnyPolicy
-from manip.training.final_evaluation import EvaluationOptions, episode_settings
+from manip.training.final_evaluation import (
+    EvaluationOptions,
+    episode_settings,
+    evaluated,
+)
 from manip.versions import versions
 
 
@@ -37,7 +41,7 @@ def evaluate_under_stress(
     """
     if isinstance(task, ExternalTask):
         raise UserError(f"{task.name} is stepped by {task.library}: not perturbed")
-    settings, card = episode_settings(options, policy, task), policy.card
+    settings = episode_settings(options, policy, task)
     scene, began = None, time.monotonic()
     if options.env == "native":  # compiled once for all levels
         robot, fidelity = settings.robot, settings.fidelity
@@ -48,13 +52,7 @@ def evaluate_under_stress(
 
     nominal, perturbed, left_out = run_suite(run, settings, suite)
     return Robustness(
-        task=card.task,
-        robot=card.robot,
-        algo=card.algo,
-        env=options.env,
-        fidelity=settings.fidelity,
-        episodes=options.episodes,
-        seed=options.seed,
+        **evaluated(policy, settings),
         nominal=nominal,
         perturbed=perturbed,
         left_out=left_out,

@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 from manip.errors import UserError, one_line, out_of_memory
 from manip.evaluation.diagnosis import diagnose
@@ -19,7 +19,7 @@ from manip.training.run_folder import check_run_folder, prepare
 from manip.training.run_logs import RunLog, check_wandb
 from manip.training.run_parts import Place, build_parts, here
 from manip.training.run_state import RunState
-from manip.training.schedule import curve_due, next_choice, row_due, rows_in
+from manip.training.schedule import curve_due, extended, next_choice, row_due, rows_in
 
 
 class Trainer:
@@ -55,10 +55,11 @@ class Trainer:
         check_run_folder(config)
         check_wandb(config.wandb)
         self.config, self.folder = config, config.folder
-        self.parts, self.state = build_parts(config, reward, place), RunState()
+        self._callback, self._interrupted = callback, False
+        self.parts = build_parts(config, reward, place, self._report_building)
+        self.state = RunState()
         self.checkpoints = Checkpoints(self.folder)
         self.stop = stop
-        self._callback, self._interrupted = callback, False
         self._save_timer = SaveTimer(config.checkpoint_every)
 
     @property
@@ -81,13 +82,18 @@ class Trainer:
                     self._save()  # from now on, a run that ends can be resumed
                 options = to_dict(self.config)
                 log = RunLog(self.folder, self.state.rows, options, self.config.wandb)
-                with log as self._log:
+                with closing(log) as self._log:
                     self._train()
         return self._complete
 
     @property
+    def _steps(self) -> int:
+        """Control steps of the whole run."""
+        return self.config.steps + self.state.extra_steps
+
+    @property
     def _complete(self) -> bool:
-        return self.state.env_steps >= self.config.steps
+        return self.state.env_steps >= self._steps
 
     def close(self) -> None:
         """End the threads that collect."""
@@ -115,10 +121,12 @@ class Trainer:
 
     def _evaluate_or_log(self, before: int) -> None:
         """Evaluate, log and save what is due after the rollout from step `before`."""
-        now, steps = self.state.env_steps, self.config.steps
+        now, steps = self.state.env_steps, self._steps
         every = self.config.eval_every
         if now >= next_choice(before, every, steps):
-            self._save(best=self._evaluate())
+            best = self._evaluate()
+            self._extend()
+            self._save(best)
             return
         light = curve_due(before, now, every, steps) and self.parts.evaluator.light(
             self.parts.agent, now
@@ -154,7 +162,7 @@ class Trainer:
     def _add(self, experience: Experience) -> None:
         """Add a rollout to counters and averages; log rows within it in short runs."""
         averages, begun = self.parts.averages, self.state.env_steps
-        parts = rows_in(experience.steps, self.config.steps)
+        parts = rows_in(experience.steps, self._steps)
         *earlier, (_, episodes) = by_time(experience, parts)
         for steps, ended in earlier:
             averages.episodes.extend(ended)
@@ -165,7 +173,7 @@ class Trainer:
 
     def _set_learning_rates(self) -> None:
         """Let learning rates fall linearly to zero over the last `cool_down` share."""
-        left = max(0.0, 1 - self.state.env_steps / self.config.steps)
+        left = max(0.0, 1 - self.state.env_steps / self._steps)
         last = self.config.cool_down
         share = left / last if left < last else 1.0
         for optimiser in self.parts.agent.optimisers().values():
@@ -186,9 +194,21 @@ class Trainer:
             evaluation.policy.save(self.folder / "policy")
         return best
 
+    def _extend(self) -> None:
+        """Make the run longer if it has ended below its goal."""
+        state, until = self.state, self.config.until
+        extra = extended(self.config.steps, state.extra_steps)
+        if not self._complete or state.best[0] >= until or extra == state.extra_steps:
+            return
+        state.extra_steps = extra
+        self._report(
+            f"success_held {state.best[0]:.1%} is below {until:.1%} (--until): "
+            f"training goes on to step {self._steps:,}"
+        )
+
     def _log_evaluation(self, evaluation: PolicyEvaluation) -> None:
         self._log_row(evaluation.row())
-        milestones, steps = self.parts.milestones, self.config.steps
+        milestones, steps = self.parts.milestones, self._steps
         diagnosis = diagnose(self.state.rows, milestones, steps)
         words = [diagnosis.words] if diagnosis else []
         self._report(evaluation.line(self.state.seconds), *words)
@@ -221,12 +241,17 @@ class Trainer:
         with self._save_timer:
             self.checkpoints.save(tree, best)
 
+    def _report_building(self, message: str) -> None:
+        """Report before the run begins."""
+        steps = self.config.steps
+        self._callback(Progress(0, steps, 0.0, 0.0, messages=(message,)))
+
     def _report(self, *messages: str) -> None:
         state = self.state
         self._callback(
             Progress(
                 env_steps=state.env_steps,
-                total_steps=self.config.steps,
+                total_steps=self._steps,
                 seconds=state.seconds,
                 steps_per_second=self._speed(),
                 averages=self.parts.averages.values(),

@@ -12,6 +12,8 @@ FIRM = 0.12
 """Gripper command from which the hand may lift; slow grippers hold the cube by then."""
 CLOSING_STEPS = 17
 """Control steps that a slow gripper may take from open to FIRM. It opens no further."""
+MISSED = 0.03
+"""Distance [m] of the cube from the tool at which a closed gripper has missed it."""
 COAST = 0.25
 """Gain of the approach: the arms of slow grippers coast on for 20 control steps."""
 FINE = 0.003
@@ -30,8 +32,9 @@ def _take(m: Measures, then: Array) -> Array:
     offset = m["to_cube"].copy()
     aside = np.linalg.norm(offset[:, :2], axis=1)
     at_cube = m["distance"] < 0.012
-    closing = at_cube | (m["gripper_closing"] > 0.1) | m["grasped"]
-    offset[:, 2] += np.where(aside > 0.01, 0.06, 0.0) * ~closing
+    shut = m["gripper_closing"] > 0.1
+    closing = at_cube | (shut & (m["distance"] < MISSED)) | m["grasped"]
+    offset[:, 2] += np.where((aside > 0.01) | shut, 0.06, 0.0) * ~closing
     offset[m["grasped"]] = then[m["grasped"]]
     return move_action(offset, np.where(closing, 1.0, -1.0))
 

@@ -21,6 +21,7 @@ from manip.envs.task_check import check_start
 from manip.envs.task_errors import blamed
 from manip.envs.time_step import TimeStep
 from manip.envs.varied_starts import VariedStarts
+from manip.envs.waypoint_starts import FAMILY, WaypointStarts
 from manip.errors import UserError, at_least, check_choice, shown
 from manip.looks import check_looks
 from manip.robot_config import RobotConfig, check_robot_config
@@ -29,6 +30,7 @@ from manip.sim.engine import Snapshot
 from manip.sim.not_copied import DeepCopied
 from manip.sim.robosuite_factory import PANDA
 from manip.sim.robot_motion import RobotMotion
+from manip.sim.row_engine import RowEngine
 from manip.sim.scene import Fidelity, Scene, load_scene
 from manip.sim.scene_cameras import SceneCameras
 
@@ -59,7 +61,12 @@ class NativeBatch(DeepCopied, TaskBatch):
 
     Raises:
         UserError: the task is another library's, or an option is out of its range.
+
+    Attributes:
+        waypoints: states from which some episodes start; None for none.
     """
+
+    waypoints: WaypointStarts | None = None
 
     def __init__(
         self,
@@ -98,7 +105,7 @@ class NativeBatch(DeepCopied, TaskBatch):
         self.scene = self._varied.scene
         if episodes.motion:
             self.scene = replace(self.scene, with_peaks=True)
-        self.engine = BatchEngine(self.scene, num_envs, threads)
+        self.engine = self._build_engine(num_envs, threads)
         self._robot_motion = RobotMotion(self.scene) if episodes.motion else None
         self._stagger = stagger
         self._restart_fraction = restart_fraction
@@ -119,8 +126,12 @@ class NativeBatch(DeepCopied, TaskBatch):
         with blamed(task):
             check_start(task, self.scene)
 
+    def _build_engine(self, num_envs: int, threads: int | None) -> RowEngine:
+        """The engine that steps `self.scene`."""
+        return BatchEngine(self.scene, num_envs, threads)
+
     def read(self) -> Measures:
-        """As `BatchEngine.read`."""
+        """As `RowEngine.read`."""
         return self.engine.read()
 
     def _version(self) -> object:
@@ -138,6 +149,8 @@ class NativeBatch(DeepCopied, TaskBatch):
     def step(self, action: Array) -> TimeStep:
         """As `TaskBatch.step`; visited states go to the restart buffer."""
         time_step = super().step(action)
+        if self.waypoints:
+            self.waypoints.end(time_step.done, time_step.success)
         if self._restarts:
             now = (self.elapsed + np.arange(self.num_envs)) % INTERVAL == 0
             milestones = np.stack([*time_step.milestones.values()], axis=1)
@@ -166,6 +179,9 @@ class NativeBatch(DeepCopied, TaskBatch):
             visited = self._restarts.draw(streams)
             visited = Snapshot(visited.states[again], visited.readings[again])
             self.engine.restore(visited, env_ids[again])
+        if self.waypoints:
+            own = EpisodeStreams(self.seed, numbers, episodes, self.purpose, FAMILY)
+            self.waypoints.begin(self.engine, env_ids, own)
 
     def _keep(self, env_ids: Array, memory: Mapping[str, Array]) -> None:
         self.engine.write_memory(env_ids, memory)
@@ -209,7 +225,7 @@ class NativeBatch(DeepCopied, TaskBatch):
         return {"states": snapshot.states, "readings": snapshot.readings, **clocks}
 
     def save_state(self) -> dict[str, Any]:
-        """Engine states, clocks, episode numbers and the restart buffer."""
+        """Engine states, clocks, episode numbers, the restart buffer and waypoints."""
         snapshot = self.engine.save()
         return {
             "states": snapshot.states,
@@ -217,6 +233,7 @@ class NativeBatch(DeepCopied, TaskBatch):
             **self._clocks(),
             **self._looks.save_state(),
             **(self._perturber.save_state() if self._perturber else {}),
+            **(self.waypoints.save_state() if self.waypoints else {}),
             "restarts": self._restarts and self._restarts.save_state(),
         }
 
@@ -236,6 +253,8 @@ class NativeBatch(DeepCopied, TaskBatch):
             self._perturber.load_state(state)
         if self._restarts:
             self._restarts.load_state(state["restarts"])
+        if self.waypoints:
+            self.waypoints.load_state(state)
         self.engine.restore(Snapshot(states, readings))
 
 

@@ -1,0 +1,77 @@
+"""Properties of scenes and states that objects are placed in by computation."""
+
+import copy
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from manip.sim.batch_engine import BatchEngine
+from manip.sim.fields import write_slot
+from manip.sim.names import lookup
+from manip.sim.scene import Scene
+from manip.sim.slots import Slot
+
+Array = np.ndarray
+
+OPENING_STEPS = 40
+"""Control steps after which every gripper is open."""
+
+
+def weightless(scene: Scene) -> Scene:
+    """The scene without gravity: what a hand closes around stays where it is."""
+    physics = copy.copy(scene.physics)
+    physics.opt.gravity[:] = 0.0
+    return replace(scene, physics=physics)
+
+
+def open_gripper(scene: Scene) -> tuple[Array, Array]:
+    """Positions [k] of the finger joints, and commands [m], of the open gripper.
+
+    It opens on the engine, in the arm's default pose.
+    """
+    engine, layout = BatchEngine(scene, 1, threads=1), scene.layout
+    action = np.zeros((1, layout.action_dim))
+    action[:, -1] = -1.0
+    for _ in range(OPENING_STEPS):
+        engine.step(action)
+    read = engine.read()
+    return read["gripper_qpos"][0].copy(), read["gripper_command"][0].copy()
+
+
+def penetration(
+    scene: Scene,
+    qpos: Array,
+    fields: Mapping[str, Array],
+    parked: Sequence[str] = (),
+) -> Array:
+    """[n] m: the deepest penetration in poses qpos [n, nq]; 0 where nothing touches.
+
+    Args:
+        scene: whose geoms collide.
+        qpos: of n environments.
+        fields: name -> [n, k], model fields of these environments.
+        parked: bodies that do not count, out of the way.
+    """
+    model = copy.copy(scene.physics)
+    data, deepest = mujoco.MjData(model), np.zeros(len(qpos))
+    away = np.isin(model.geom_bodyid, [lookup(model, "body", b) for b in parked])
+    for row, pose in enumerate(qpos):
+        for slot, values in _physical(scene, fields):
+            write_slot(model, slot, values[row])
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        counts = ~away[data.contact.geom].any(axis=1)
+        deepest[row] = -data.contact.dist[counts].min(initial=0.0)
+    return deepest
+
+
+def _physical(
+    scene: Scene, fields: Mapping[str, Array]
+) -> Iterator[tuple[Slot, Array]]:
+    """Slot in the physics model, and values, of the fields that it has."""
+    for drawn, slot in zip(scene.layout.fields, scene.physics_fields, strict=True):
+        if slot is not None and drawn.name in fields:
+            yield slot, fields[drawn.name]

@@ -1,0 +1,91 @@
+"""The engine warp without its packages or a GPU: one clear line, nothing written."""
+
+import sys
+from dataclasses import replace
+
+import pytest
+
+from manip.envs import make_batch
+from manip.errors import UserError
+from manip.programs import cli, evaluate
+from manip.programs import train as train_program
+from manip.sim.warp.library import check_library
+from manip.sim.warp.sizes import MEASURED, UNKNOWN, Sizes, check_demand, with_head_room
+from manip.training.build import training_envs
+from manip.training.recipes import recipe
+
+
+@pytest.fixture
+def absent(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco_warp", None)
+    monkeypatch.setitem(sys.modules, "warp", None)
+
+
+@pytest.mark.usefixtures("absent")
+def test_training_says_which_packages_are_missing(tmp_path, capsys) -> None:
+    arguments = f"--task Reach --algo ppo --engine warp --out {tmp_path / 'a'}"
+    assert cli.run(train_program.main, arguments.split()) == 2
+    error = capsys.readouterr().err
+    assert "pip install --no-deps mujoco-warp==3.8.1 warp-lang==1.13.0" in error
+    assert "the extra `gpu`" in error
+    assert len(error.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures("absent")
+def test_evaluation_says_which_packages_are_missing(capsys) -> None:
+    arguments = "Reach --policy expert --engine warp --device cpu --episodes 1"
+    assert cli.run(evaluate.main, arguments.split()) == 2
+    assert "mujoco-warp==3.8.1" in capsys.readouterr().err
+
+
+class NoGpu:
+    config = type("Config", (), {"quiet": False})
+
+    @staticmethod
+    def is_cuda_available() -> bool:
+        return False
+
+
+def test_without_a_gpu_the_error_names_the_other_ways(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "warp", NoGpu)
+    monkeypatch.setitem(sys.modules, "mujoco_warp", object())
+    with pytest.raises(UserError, match=r"needs an NVIDIA GPU.*--device cpu.*native"):
+        check_library("cuda")
+    check_library("cpu")
+    with pytest.raises(UserError, match=r"unknown device 'gpu'.*cpu, cuda"):
+        check_library("gpu")
+
+
+def test_options_of_warp_need_the_engine() -> None:
+    for name, value in {"device": "cpu", "njmax": 9, "nconmax": 9}.items():
+        config = replace(recipe("Reach", "ppo"), **{name: value})
+        with pytest.raises(UserError, match="are options of --engine warp"):
+            training_envs(config)
+    with pytest.raises(UserError, match="unknown option 'device'"):
+        make_batch("Reach", 1, device="cpu")
+
+
+def test_warp_steps_all_environments_at_once() -> None:
+    config = replace(recipe("Reach", "ppo"), engine="warp", num_envs=32, collectors=2)
+    with pytest.raises(UserError, match="leave out --collectors"):
+        training_envs(config)
+
+
+def test_demand_beyond_the_sizes_names_the_option_and_the_number() -> None:
+    sizes = Sizes(njmax=64, nconmax=16)
+    check_demand(sizes, 10, rows=64, contacts=160)
+    with pytest.raises(UserError, match=r"needs 65 constraint rows.*--njmax 112"):
+        check_demand(sizes, 10, rows=65, contacts=0)
+    with pytest.raises(
+        UserError, match=r"10 environments need 161 contacts.*--nconmax 32"
+    ):
+        check_demand(sizes, 10, rows=0, contacts=161)
+
+
+def test_head_room_is_half_and_a_multiple_of_16() -> None:
+    assert [with_head_room(n) for n in (1, 10, 11, 64, 65)] == [16, 16, 16, 96, 112]
+    for needed in (*MEASURED.values(), UNKNOWN):
+        for number in needed:
+            assert with_head_room(number) % 16 == 0
+            assert with_head_room(number) >= 1.4 * number

@@ -1,0 +1,87 @@
+"""Tasks, training and certificates on MuJoCo Warp's CPU device."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from manip.envs import make_batch
+from manip.envs.task_batch import TaskBatch
+from manip.programs import certify, cli
+from manip.training.randomisation import load_randomisation
+from manip.training.recipes import recipe
+from manip.training.run import train
+
+pytestmark = pytest.mark.slow
+
+INSTALL = "the extra `gpu`: pip install --no-deps mujoco-warp==3.8.1 warp-lang==1.13.0"
+pytest.importorskip("warp", reason=INSTALL)
+pytest.importorskip("mujoco_warp", reason=INSTALL)
+
+Array = np.ndarray
+
+NUM_ENVS = 8
+
+
+def succeeded(batch: TaskBatch) -> Array:
+    """[N] bool: success in the last ten steps of the expert's episodes."""
+    batch.begin(np.arange(batch.num_envs))
+    flags = [batch.step(batch.expert()).success for _ in range(batch.horizon)]
+    return np.all(flags[-10:], axis=0)
+
+
+@pytest.mark.parametrize(
+    ("name", "different"),
+    [
+        *(("Reach", 0), ("Lift", 0), ("Stack", 0), ("Push", 1), ("PickGoal", 1)),
+        *(("Door", 1), ("PickPlaceCan", 1), ("NutAssemblySquare", 1), ("Wipe", 1)),
+        ("ToolHang", 1),
+    ],
+)
+def test_experts_succeed_as_on_c(name: str, different: int) -> None:
+    native, warp = (
+        succeeded(make_batch(name, NUM_ENVS, backend=backend, **options))
+        for backend, options in (("native", {}), ("warp", {"device": "cpu"}))
+    )
+    assert native.sum() >= NUM_ENVS - 1
+    assert (native != warp).sum() <= different
+
+
+def test_a_run_is_resumed_and_says_that_it_differs(tmp_path) -> None:
+    config = replace(
+        recipe("Reach", "ppo"),
+        engine="warp", device="cpu", num_envs=16, steps=512, out=tmp_path / "run",
+        eval_every=512, eval_episodes=2, curve_episodes=0,
+    )  # fmt: skip
+    assert train(config).env_steps == 512
+    more = replace(config, steps=1024, resume=True)
+    with pytest.warns(UserWarning, match="warp: the run continues.*not bit for bit"):
+        result = train(more)
+    assert result.env_steps == 1024
+
+
+def test_perturbed_models_differ_between_environments() -> None:
+    options = {"perturbations": load_randomisation("standard"), "seed": 3}
+    native, warp = (
+        make_batch("Lift", 3, backend=backend, **options, **more)
+        for backend, more in (("native", {}), ("warp", {"device": "cpu"}))
+    )
+    for batch in (native, warp):
+        batch.begin(np.arange(3))
+    for _ in range(5):
+        for batch in (native, warp):
+            batch.step(np.full((3, 7), 0.3))
+    a, b = native.read(), warp.read()
+    np.testing.assert_allclose(b["joint_pos"], a["joint_pos"], atol=1e-4)
+    np.testing.assert_allclose(b["cube_pos"], a["cube_pos"], atol=1e-4)
+    model = warp.engine.on_device.model
+    assert model.geom_friction.shape[0] == 3
+    assert np.ptp(model.geom_friction.numpy()[:, 0, 0]) > 0
+
+
+def test_reach_is_certified(capsys) -> None:
+    options = ["Reach", "--device", "cpu", "--episodes", "4", "--stock-episodes", "1"]
+    assert cli.run(certify.main, options) == 0
+    shown = capsys.readouterr().out
+    assert "warp: train on it" in shown
+    assert "quote results from: stock robosuite, or the native engine" in shown
