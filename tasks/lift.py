@@ -4,12 +4,15 @@ Success: the cube's centre is more than 4 cm above the table top (robosuite's te
 Failure: none; an episode ends by its time limit.
 Start: cube centre uniform within +-3 cm of the table's centre, any yaw, 1 cm above the
     table; arm in its default pose with 0.02 rad noise per joint, gripper half open.
-Shaped reward, in [0, 1] per step: 0.2 reach + 0.25 grasp + 0.55 lift.
+Shaped reward, in [0, 1] per step: 0.2 reach + 0.25 grasp + 0.55 lift + 0 upright.
     reach: 1 - tanh(5 d) of the distance d [m] from the tool to the cube.
     grasp: 0 unless both finger pads touch the cube. Rises from 0 to 1 as the gripper's
         command goes from open to closed, times a factor: 1 for d < 1.2 cm, falling to
         0 at d = 2 cm.
     lift: rises linearly over the first 5 cm of height.
+    upright: falls from 1 to 0 as the hand's tilt grows from 0.1 to 0.5 rad. The recipe
+        of SAC takes 0.1 of its weight from lift. Without it, SAC's hand leans by 35
+        degrees (median over episodes of the largest tilt), and some cubes slip out.
     Without the distance factor, policies learned to press the pads onto the cube's top
     only. With a sharp edge at 2 cm, or with lift multiplied by grasp, they
     grasped the cube at its top, lost the reward as it slipped, and released it.
@@ -22,6 +25,7 @@ import numpy as np
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, ramp
+from manip.sim.robot_motion import hand_tilt
 from manip.sim.scene import Scene
 from manip.sim.sensors import Sensors
 from manip.tasks.arm import start_qpos
@@ -58,7 +62,7 @@ class Lift(Task):
     horizon = 100
     milestone_names = ("near", "grasp", "lift")
     weights: ClassVar[Weights] = {
-        "shaped": {"reach": 0.2, "grasp": 0.25, "lift": 0.55},
+        "shaped": {"reach": 0.2, "grasp": 0.25, "lift": 0.55, "upright": 0.0},
         "stock": {"reach": 1 / 2.25, "grasp": 0.25 / 2.25, "lift": 1.0},
     }
 
@@ -95,6 +99,7 @@ class Lift(Task):
             "reach": near(m["distance"], 0.2),
             "grasp": grasp_term(m),
             "lift": ramp(m["height"] - REST, 0.0, 0.05),
+            "upright": 1.0 - ramp(hand_tilt(m["eef_mat"]), 0.1, 0.5),
         }
 
     def visible_measures(self, m: Measures) -> dict[str, Array]:

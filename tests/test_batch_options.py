@@ -110,7 +110,12 @@ def test_a_seed_out_of_range_is_refused_at_a_restart(seed, tiny_scene: Scene) ->
 
 def test_given_weights_replace_those_of_the_set(lift: Task, lift_scene: Scene) -> None:
     batch = native(lift, lift_scene, reward_weights={"lift": 0.0, "reach": 2.0}).batch
-    assert batch.reward_weights == {"reach": 2.0, "grasp": 0.25, "lift": 0.0}
+    assert batch.reward_weights == {
+        "reach": 2.0,
+        "grasp": 0.25,
+        "lift": 0.0,
+        "upright": 0.0,
+    }
     batch.begin(np.arange(4))
     time_step = batch.step(actions(1, 4)[0].numpy())
     terms = time_step.reward_terms

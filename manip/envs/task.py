@@ -13,6 +13,7 @@ import numpy as np
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.hand_motion import motion_measures
 from manip.errors import UserError
+from manip.sim.robot_motion import hand_tilt
 from manip.sim.scene import Scene
 from manip.sim.sensors import Sensors
 
@@ -137,9 +138,8 @@ class Task(ABC):
         and straight down; hand_speed [m/s]; hand_acceleration [m/s^2]; closing in
         [0, 1], how far the gripper is commanded to close.
         """
-        axis = m["eef_mat"][:, [2, 5, 8]]
         return {
-            "hand_tilt": np.arctan2(np.linalg.norm(axis[:, :2], axis=1), -axis[:, 2]),
+            "hand_tilt": hand_tilt(m["eef_mat"]),
             **motion_measures(m),
             "closing": (1 + m["gripper_closing"]) / 2,
         }

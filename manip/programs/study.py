@@ -27,8 +27,8 @@ from manip.studies.learning import (
     clipping_variants,
     evaluations,
 )
-from manip.studies.motion import MotionRow, default_policies, motion_rows
 from manip.studies.motion_figure import draw_motion
+from manip.studies.motion_study import MotionRow, default_policies, motion_rows
 from manip.studies.rlhf import PreferenceRow, PreferenceStudy
 from manip.studies.rlhf_figures import FIGURES
 from manip.studies.rlhf_scores import Scorer

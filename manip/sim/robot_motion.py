@@ -11,6 +11,12 @@ from manip.sim.state_row import PEAKS
 Array = np.ndarray
 
 
+def hand_tilt(eef_mat: Array) -> Array:
+    """[N] rad between the tool's z axis and straight down, of rotations [N, 9]."""
+    axis = eef_mat[:, [2, 5, 8]]
+    return np.arctan2(np.linalg.norm(axis[:, :2], axis=1), -axis[:, 2])
+
+
 class RobotMotion(DeepCopied):
     """Named numbers about the motion of N robots.
 
@@ -35,12 +41,10 @@ class RobotMotion(DeepCopied):
         of the arm touch one another or the hand.
         """
         read = engine.read()
-        axis = read["eef_mat"][:, [2, 5, 8]]
-        tilt = np.arctan2(np.linalg.norm(axis[:, :2], axis=1), -axis[:, 2])
         return {
             "joint_vel": read["joint_vel"],
             **{name: read[name] for name in PEAKS},
-            "hand_tilt": tilt[:, None],
+            "hand_tilt": hand_tilt(read["eef_mat"])[:, None],
             "self_contact": self._contacts(read["qpos"])[:, None],
         }
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 
-from manip.studies.motion import MotionRow
+from manip.studies.motion_study import MotionRow
 from manip.studies.plotting import plt, save
 
 MARKERS = {"speed": "o", "torque": "s", "jerk": "^"}
