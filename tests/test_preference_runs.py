@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from clip_files import LENGTH, cut_all, recorded
+from tensordict import TensorDictBase
 from training_runs import (
     assert_equal_runs,
     new_trainer,
@@ -82,6 +84,26 @@ def test_a_run_learns_from_labels_in_rounds(algo: str, tmp_path: Path) -> None:
     assert len(files["answers"]) == 14
     assert learned(trainer)[-1] == 14
     assert trainer.state.learned["learned_reward"] != 0
+
+
+def test_the_tasks_reward_is_paid_beside_the_learned_one(tmp_path: Path) -> None:
+    trainer = new_trainer(config_of(tmp_path, labels={"task_reward": 0.5}))
+    agent = trainer.parts.agent
+    outer, inner, task, paid = agent.update, agent._agent.update, [], []
+
+    def before(batch: TensorDictBase) -> dict[str, float]:
+        task.append(batch["next", "reward"].clone())
+        return outer(batch)
+
+    def after(batch: TensorDictBase) -> dict[str, float]:
+        expected = agent._rounds.model(batch) + 0.5 * task[-1]
+        torch.testing.assert_close(batch["next", "reward"], expected)
+        paid.append(expected)
+        return inner(batch)
+
+    agent.update, agent._agent.update = before, after
+    assert trainer.run()
+    assert paid
 
 
 def killed(monkeypatch: pytest.MonkeyPatch, where: str, times: int) -> None:

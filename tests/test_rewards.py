@@ -6,10 +6,12 @@ import torch
 from dm_control.utils import rewards as dm_rewards
 from tensordict import TensorDict
 
+from manip.envs.adapters.torchrl import TaskEnv
+from manip.envs.make_batch import make_batch
 from manip.errors import UserError
 from manip.rewards.compose import override_weights, weighted_sum
 from manip.rewards.kernels import near, ramp, tolerance
-from manip.rewards.reward_function import EnvironmentReward
+from manip.rewards.reward_function import EnvironmentReward, WeightedTerms
 
 DISTANCES = np.linspace(0, 3, 301)
 POSITIONS = np.linspace(-3, 3, 601)
@@ -132,3 +134,10 @@ def test_the_environments_reward_is_the_default_reward_function() -> None:
     rollout = TensorDict({"next": {"reward": reward}}, [2, 3])
     assert EnvironmentReward()(rollout) is rollout["next", "reward"]
     torch.testing.assert_close(EnvironmentReward()(rollout), reward)
+
+
+def test_weighted_terms_are_the_reward_that_an_environment_paid() -> None:
+    batch = make_batch("Reach", 2)
+    rollout = TaskEnv(batch).rollout(3)
+    weighted = WeightedTerms([*batch.reward_weights.values()])(rollout)
+    torch.testing.assert_close(weighted, EnvironmentReward()(rollout))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from manip.errors import UserError
-from manip.io.option_ranges import COUNT, SHARE, WHOLE, Range, check_options
+from manip.io.option_ranges import COUNT, NUMBER, SHARE, WHOLE, Range, check_options
 
 Inputs = Literal["measures", "observation+action"]
 """What the reward model sees of a step: the task's visible measures after it, or the
@@ -53,6 +53,10 @@ class LabelOptions:
     scale: Literal["standard", "unit"] = "standard"
     """Scale of the learned reward. standard: mean 0 and standard deviation 0.1 over the
     clips of the first round; unit: from 0 to 1."""
+    task_reward: Annotated[float, NUMBER] = 0.0
+    """Weight of the task's own reward, which is added to the learned one. 0: the task
+    is known from the answers alone. More where a clip is too short to show what the
+    task needs; a step of the task pays up to 1."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of a simulated labeller."""
 

@@ -17,6 +17,7 @@ from manip.preferences.label_options import LabelOptions
 from manip.preferences.queries import Pairs, choose_pairs
 from manip.preferences.reward_learning import ClipReader, generator_of, learn_reward
 from manip.preferences.reward_model import FILE, RewardModel, clip_inputs
+from manip.rewards.reward_function import RewardFunction
 
 Labeller = Callable[[Clip, Clip], Answer]
 """Says which of a left and a right clip is better."""
@@ -32,6 +33,7 @@ class Rounds:
         source: what all clips of the run have in common.
         labeller: answers at once; None leaves the pairs to people.
         model: the present reward; before the first round its network is untrained.
+        task: the task's own reward.
         seed: of the choice of pairs and the fits.
         labels: answers that the present reward was learned from.
     """
@@ -41,6 +43,7 @@ class Rounds:
     source: ClipSource
     labeller: Labeller | None
     model: RewardModel
+    task: RewardFunction
     seed: int
     labels: int = 0
     _reader: ClipReader = field(init=False)
@@ -48,6 +51,12 @@ class Rounds:
     def __post_init__(self) -> None:
         robot, widths = self.source.header.robot_config, self.source.widths
         self._reader = ClipReader(self.folder.folder, self.model.card, robot, widths)
+
+    def reward(self, rollout: TensorDictBase) -> torch.Tensor:
+        """Rewards [N, T, 1]: the learned ones, plus the weighted ones of the task."""
+        learned = self.model(rollout)
+        weight = self.options.task_reward
+        return learned + weight * self.task(rollout) if weight else learned
 
     def check(self) -> None:
         """Read the clips of the answers that the folder holds already.

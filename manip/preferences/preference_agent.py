@@ -52,8 +52,9 @@ class PreferenceAgent(Agent):
         if not self._round:
             self._agent.store(batch)
             return {}
-        batch["next", "reward"] = reward = self._rounds.model(batch)
-        news = self._news | {"learned_reward": reward.mean().item()}
+        learned = self._rounds.model(batch)
+        news = self._news | {"learned_reward": learned.mean().item()}
+        batch["next", "reward"] = self._rounds.reward(batch)
         self._news = {}
         return self._agent.update(batch) | news
 
@@ -74,7 +75,7 @@ class PreferenceAgent(Agent):
             return f"{missing} pairs of clips wait for answers: manip label {place}"
         pairs = self._rounds.learn(self._round)
         card = self._rounds.model.card
-        self._agent.relabel(self._rounds.model)
+        self._agent.relabel(self._rounds.reward)
         self._news = self._agent.compare(pairs)
         self._news |= {"labels": self._rounds.labels, "label_accuracy": card.accuracy}
         self._round += 1

@@ -1,5 +1,7 @@
 """Reward functions: rewards of collected experience, applied before learning."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
@@ -25,3 +27,19 @@ class EnvironmentReward:
         """Rewards [N, T, 1] float32 of the rollout [N, T]."""
         reward: Tensor = rollout["next", "reward"]
         return reward
+
+
+@dataclass(frozen=True)
+class WeightedTerms:
+    """The same from the reward terms, for steps whose reward was replaced.
+
+    Attributes:
+        weights: of the K terms, in their order.
+    """
+
+    weights: Sequence[float]
+
+    def __call__(self, rollout: "TensorDictBase") -> "Tensor":
+        """Rewards [N, T, 1] float32 of the rollout [N, T]."""
+        terms: Tensor = rollout["next", "reward_terms"]
+        return terms @ terms.new_tensor(self.weights)[:, None]

@@ -24,7 +24,7 @@ from manip.preferences.reward_model import HIDDEN, RewardCard, RewardModel, inpu
 from manip.preferences.reward_network import RewardNetwork
 from manip.preferences.taste_reward import TasteReward
 from manip.preferences.tastes import load_taste
-from manip.rewards.reward_function import RewardFunction
+from manip.rewards.reward_function import RewardFunction, WeightedTerms
 from manip.training.config import TrainConfig, lasting
 
 
@@ -94,6 +94,7 @@ def with_preferences(config: TrainConfig, agent: Agent, env: TaskEnv) -> Agent:
         source=source,
         labeller=_labeller(config, batch.measure_names),
         model=_untrained(config, env),
+        task=WeightedTerms([*batch.reward_weights.values()]),
         seed=config.seed,
     )
     rounds.check()
