@@ -7,7 +7,7 @@ import pytest
 
 from manip.envs import make_batch
 from manip.errors import UserError
-from manip.programs import cli, evaluate
+from manip.programs import benchmark, certify, cli, evaluate
 from manip.programs import train as train_program
 from manip.sim.warp.library import check_library
 from manip.sim.warp.sizes import MEASURED, UNKNOWN, Sizes, check_demand, with_head_room
@@ -32,10 +32,19 @@ def test_training_says_which_packages_are_missing(tmp_path, capsys) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("program", "arguments"),
+    [
+        (evaluate, "Reach --policy expert --engine warp --device cpu --episodes 1"),
+        (certify, "Reach --device cpu"),
+        (benchmark, "gpu --device cpu --num-envs 2"),
+    ],
+)
 @pytest.mark.usefixtures("absent")
-def test_evaluation_says_which_packages_are_missing(capsys) -> None:
-    arguments = "Reach --policy expert --engine warp --device cpu --episodes 1"
-    assert cli.run(evaluate.main, arguments.split()) == 2
+def test_other_programs_say_which_packages_are_missing(
+    program, arguments: str, capsys
+) -> None:
+    assert cli.run(program.main, arguments.split()) == 2
     assert "mujoco-warp==3.8.1" in capsys.readouterr().err
 
 

@@ -7,7 +7,10 @@ import pytest
 
 from manip.envs import make_batch
 from manip.envs.task_batch import TaskBatch
-from manip.programs import certify, cli
+from manip.envs.task_registry import load_task
+from manip.programs import benchmark, certify, cli
+from manip.robot_config import RobotConfig
+from manip.training.contact_check import contact_differences
 from manip.training.randomisation import load_randomisation
 from manip.training.recipes import recipe
 from manip.training.run import train
@@ -47,6 +50,17 @@ def test_experts_succeed_as_on_c(name: str, different: int) -> None:
     assert (native != warp).sum() <= different
 
 
+@pytest.mark.parametrize(
+    "name", ["Lift", "Stack", "NutAssemblySquare", "Wipe", "ToolHang"]
+)
+def test_contacts_of_boxes_are_those_of_c(name: str) -> None:
+    differences = contact_differences(load_task(name), RobotConfig(), "cpu")
+    boxes = differences["box-box"]
+    assert boxes.pairs > 100
+    assert (boxes.missed, boxes.ghosts) == ([], [])
+    assert boxes.depth < 1e-6
+
+
 def test_a_run_is_resumed_and_says_that_it_differs(tmp_path) -> None:
     config = replace(
         recipe("Reach", "ppo"),
@@ -77,6 +91,14 @@ def test_perturbed_models_differ_between_environments() -> None:
     model = warp.engine.on_device.model
     assert model.geom_friction.shape[0] == 3
     assert np.ptp(model.geom_friction.numpy()[:, 0, 0]) > 0
+
+
+def test_the_benchmark_measures_speed_and_memory(capsys) -> None:
+    options = "gpu --device cpu --task Reach --fidelity fast --num-envs 2 --rounds 1"
+    assert cli.run(benchmark.main, options.split()) == 0
+    shown = capsys.readouterr().out
+    for text in ("physics, 2 envs", "engine, 2 envs", "task, 2 envs", "bytes per env"):
+        assert text in shown
 
 
 def test_reach_is_certified(capsys) -> None:

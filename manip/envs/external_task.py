@@ -144,6 +144,8 @@ def simulator_of(env: str, task: str) -> str:
     """What steps a task on a backend, in words: "stock robosuite", "batch engine"."""
     if env == "native":
         return "batch engine"
+    if env == "warp":
+        return "MuJoCo Warp"
     return f"{env} {task.split('/')[0] if '/' in task else 'robosuite'}"
 
 

@@ -35,7 +35,7 @@ class EvaluatedPolicy:
 
     Attributes:
         task, robot, algo: of the policy's card.
-        env: "stock" or "native".
+        env: "stock", "native" or "warp".
         fidelity: physics of the episodes.
         episodes: their number; of each level, if several are compared.
         seed: of their random streams.

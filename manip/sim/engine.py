@@ -27,8 +27,8 @@ class Engine(Protocol):
     Guarantees of every engine:
 
     * An environment does not depend on the others, on N, or on the number of threads.
-    * A snapshot is complete: restored, at any place of any engine of the same scene,
-      it replays bit for bit.
+    * A snapshot is complete: restored, at any place of any engine of the same class and
+      scene, it replays bit for bit (`WarpEngine` on a GPU: within rounding).
     * Arrays are float64, in SI units and the world frame unless stated.
 
     Attributes:
