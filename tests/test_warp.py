@@ -154,6 +154,30 @@ def test_random_steps_stay_near_c(lift: Task, lift_scene: Scene) -> None:
     assert largest(native, warp, "cube_pos") < 1e-3
 
 
+@pytest.mark.parametrize(
+    ("robot", "most"),
+    [("Jaco", 5e-6), ("XArm7", 5e-6), ("IIWA", 5e-4), ("Kinova3", 5e-4)],
+)
+def test_a_random_step_of_other_arms(robot: str, most: float) -> None:
+    task = load_task("Lift")
+    native, warp = both(task, load_scene("Lift", task.sensors, RobotConfig(robot)), 4)
+    action = random_actions(1, 4, native.scene.layout.action_dim)
+    run(native, action)
+    run(warp, action)
+    assert largest(native, warp, "joint_pos") < most
+
+
+def test_sawyer_is_near_c_without_the_contact_of_its_base() -> None:
+    """In exact physics its first link touches the base, 1.7e-16 m deep."""
+    task = load_task("Lift")
+    scene = load_scene("Lift", task.sensors, RobotConfig("Sawyer"), fidelity="fast")
+    native, warp = both(task, scene, 4)
+    action = random_actions(1, 4)
+    run(native, action)
+    run(warp, action)
+    assert largest(native, warp, "joint_pos") < 5e-6
+
+
 @pytest.mark.parametrize("controller", CONTROLLERS[1:])
 def test_other_laws_stay_near_c(controller: str) -> None:
     task = load_task("Reach")
