@@ -29,7 +29,10 @@ from manip.preferences.comparisons import append_comparison, valid_comparisons
 from manip.preferences.label_folder import LabelFolder
 from manip.preferences.labellers import TasteCriterion, make_labeller
 from manip.preferences.pair_queue import read_pairs
+from manip.training import config as config_module
+from manip.training import preferences
 from manip.training.config import TrainConfig, from_dict
+from manip.training.preferences import run_id
 from manip.training.run import RunResult, train
 from manip.training.trainer import Trainer
 
@@ -243,6 +246,17 @@ def test_answers_that_were_added_later_do_not_change_a_resumed_run(
     append_comparison(tmp_path / "parts/labels", "b", (pair.left, pair.right), "equal")
     assert new_trainer(replace(config, resume=True)).run()
     assert_equal_runs(whole.folder, config.folder)
+
+
+def test_an_option_that_is_new_changes_no_runs_identity(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    one, other = config_of(tmp_path), config_of(tmp_path, seed=9)
+    before, original = run_id(one), config_module.lasting
+    assert run_id(other) != before
+    for module in (config_module, preferences):
+        monkeypatch.setattr(module, "lasting", lambda c: original(c) | {"new": 1})
+    assert run_id(one) == before
 
 
 def test_lost_answers_are_said(tmp_path: Path) -> None:

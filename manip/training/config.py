@@ -235,7 +235,7 @@ def check_lasting(recorded: dict[str, Any], config: TrainConfig) -> None:
     Raises:
         UserError: one of them differs.
     """
-    requested, before = lasting(config), _defaults(config.algo) | recorded
+    requested, before = lasting(config), lasting_defaults(config.algo) | recorded
     changed = [
         f"{name} was {before.get(name)!r}, not {requested.get(name)!r}"
         for name in sorted(before.keys() | requested.keys())
@@ -248,7 +248,7 @@ def check_lasting(recorded: dict[str, Any], config: TrainConfig) -> None:
         )
 
 
-def _defaults(algo: str) -> dict[str, Any]:
+def lasting_defaults(algo: str) -> dict[str, Any]:
     """The `lasting` options of a run for which none was given."""
     return lasting(TrainConfig(algo=algo, agent=load_algorithm(algo).Config()))
 

@@ -25,7 +25,7 @@ from manip.preferences.reward_network import RewardNetwork
 from manip.preferences.taste_reward import TasteReward
 from manip.preferences.tastes import load_taste
 from manip.rewards.reward_function import RewardFunction, WeightedTerms
-from manip.training.config import TrainConfig, lasting
+from manip.training.config import TrainConfig, lasting, lasting_defaults
 
 
 def check_preferences(config: TrainConfig) -> None:
@@ -117,8 +117,13 @@ def with_taste(
 
 
 def run_id(config: TrainConfig) -> str:
-    """12 hexadecimal digits that identify runs of the same options."""
-    text = json.dumps(lasting(config), sort_keys=True, default=str)
+    """12 hexadecimal digits that identify runs of the same options.
+
+    Defaults are left out: an option that is new in manip changes no run's identity.
+    """
+    defaults = lasting_defaults(config.algo)
+    chosen = {n: v for n, v in lasting(config).items() if v != defaults[n]}
+    text = json.dumps(chosen | {"algo": config.algo}, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
