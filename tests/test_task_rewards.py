@@ -64,8 +64,12 @@ def test_lift_pays_as_documented() -> None:
     height = np.array([0.021, 0.021, 0.0399, 0.0401, 0.2, 0.021, 0.2])
     cube = np.outer(0.8 + height, [0, 0, 1])
     above = [0.2, 0, 0, 0, 0.012, 0.018, 0.021]
+    tilt = np.array([0, 0.1, 0.2, 0.3, 0.5, 1.0, 3.0])
+    eef_mat = np.zeros((7, 9))
+    eef_mat[:, [2, 5, 8]] = np.stack([np.sin(tilt), 0 * tilt, -np.cos(tilt)], axis=1)
     read = {
         "cube_pos": cube,
+        "eef_mat": eef_mat,
         "eef_pos": cube + np.outer(above, [0, 0, 1]),
         "left_touch": np.array([1.0, 0, 1, 1, 1, 1, 1]),
         "right_touch": np.array([0.0, 0, 1, 1, 1, 1, 1]),
@@ -77,6 +81,8 @@ def test_lift_pays_as_documented() -> None:
     np.testing.assert_allclose(terms["reach"], 1 - np.tanh(5 * np.array(above)))
     np.testing.assert_allclose(terms["grasp"], [0, 0, 1, 1, 1, 0.25, 0], atol=1e-9)
     np.testing.assert_allclose(terms["lift"], [0, 0, 0.378, 0.382, 1, 0, 1], atol=1e-9)
+    upright = [1, 1, 0.75, 0.5, 0, 0, 0]
+    np.testing.assert_allclose(terms["upright"], upright, atol=1e-9)
     assert task.success(m).tolist() == [False] * 3 + [True] * 2 + [False, True]
     stock = weighted_sum(task.reward_terms(m, "stock"), task.weights["stock"])
     low = (1.25 - np.tanh(0.18)) / 2.25
