@@ -157,8 +157,7 @@ class WaypointMaker:
         qpos[:, self._scene.layout.finger_qpos] = self._fingers
         pose = waypoint.tool_pos, waypoint.tool_mat
         reached = self._kinematics.solve(qpos, *pose)
-        parked = self._task.sensors.parked
-        depth = penetration(self._scene, qpos, start.fields, parked)
+        depth = penetration(self._scene, qpos, start.fields)
         free = reached & (depth < DEEPEST)
         self._place(waypoint, qpos)
         valid = free & self._lasting(milestone, waypoint.closed)

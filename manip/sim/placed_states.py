@@ -1,7 +1,7 @@
 """Properties of scenes and states that objects are placed in by computation."""
 
 import copy
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import mujoco
@@ -9,7 +9,6 @@ import numpy as np
 
 from manip.sim.batch_engine import BatchEngine
 from manip.sim.fields import write_slot
-from manip.sim.names import lookup
 from manip.sim.scene import Scene
 from manip.sim.slots import Slot
 
@@ -40,23 +39,19 @@ def open_gripper(scene: Scene) -> tuple[Array, Array]:
     return read["gripper_qpos"][0].copy(), read["gripper_command"][0].copy()
 
 
-def penetration(
-    scene: Scene,
-    qpos: Array,
-    fields: Mapping[str, Array],
-    parked: Sequence[str] = (),
-) -> Array:
+def penetration(scene: Scene, qpos: Array, fields: Mapping[str, Array]) -> Array:
     """[n] m: the deepest penetration in poses qpos [n, nq]; 0 where nothing touches.
+
+    Contacts of parked bodies do not count.
 
     Args:
         scene: whose geoms collide.
         qpos: of n environments.
         fields: name -> [n, k], model fields of these environments.
-        parked: bodies that do not count, out of the way.
     """
     model = copy.copy(scene.physics)
     data, deepest = mujoco.MjData(model), np.zeros(len(qpos))
-    away = np.isin(model.geom_bodyid, [lookup(model, "body", b) for b in parked])
+    away = scene.parked_geoms
     for row, pose in enumerate(qpos):
         for slot, values in _physical(scene, fields):
             write_slot(model, slot, values[row])

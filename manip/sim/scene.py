@@ -72,6 +72,12 @@ class Scene(NotCopied):
     parked: tuple[str, ...] = ()
 
     @property
+    def parked_geoms(self) -> Array:
+        """[ngeom] bool: the physics geoms of the parked bodies."""
+        parked = [lookup(self.physics, "body", name) for name in self.parked]
+        return np.isin(self.physics.geom_bodyid, parked)
+
+    @property
     def nq(self) -> int:
         """Length of qpos."""
         return int(self.physics.nq)

@@ -1,7 +1,5 @@
 """Compare the contacts of MuJoCo Warp with those of C, in the present states."""
 
-from collections.abc import Iterator
-
 import mujoco
 import numpy as np
 
@@ -53,18 +51,12 @@ def _native_contacts(
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)
     contacts: dict[Pair, list[float]] = {}
-    parked = set(_parked_geoms(scene))
+    parked = scene.parked_geoms
     for contact in data.contact:
         pair = min(contact.geom), max(contact.geom)
-        if contact.dist < 0 and not parked & set(pair):
+        if contact.dist < 0 and not parked[[*pair]].any():
             contacts.setdefault(pair, []).append(-float(contact.dist))
     return contacts
-
-
-def _parked_geoms(scene: Scene) -> Iterator[int]:
-    for name in scene.parked:
-        inside = scene.physics.geom_bodyid == scene.physics.body(name).id
-        yield from map(int, np.flatnonzero(inside))
 
 
 def _model(engine: WarpEngine, state: Array) -> mujoco.MjModel:

@@ -7,7 +7,6 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from manip.sim.names import lookup
 from manip.sim.scene import GAINS, Scene
 from manip.sim.slots import Slot
 from manip.sim.warp.columns import Place
@@ -27,9 +26,8 @@ def host_model(scene: Scene) -> mujoco.MjModel:
     model, flags = mujoco.MjModel.__copy__(scene.physics), mujoco.mjtDisableBit
     model.opt.disableflags &= ~int(flags.mjDSBL_AUTORESET)
     model.opt.disableflags |= int(flags.mjDSBL_NATIVECCD)
-    for name in scene.parked:
-        inside = model.geom_bodyid == lookup(model, "body", name)
-        model.geom_contype[inside] = model.geom_conaffinity[inside] = 0
+    parked = scene.parked_geoms
+    model.geom_contype[parked] = model.geom_conaffinity[parked] = 0
     return model
 
 

@@ -48,7 +48,7 @@ def _isolate(
 
 
 class EnvGuard:
-    """Keep the state before a control period, and return broken environments to it.
+    """Save the state before a control period, and return broken environments to it.
 
     Args:
         state: qpos, qvel, warm start [N, nv] and gripper command on the device.
@@ -60,13 +60,13 @@ class EnvGuard:
         self._saved = [wp.zeros_like(values) for values in state]
 
     def save(self) -> None:
-        """Keep the present state."""
+        """Save the present state."""
         for saved, values in zip(self._saved, self._state, strict=True):
             if values.size:
                 wp.copy(saved, values)
 
     def isolate(self) -> None:
-        """Return environments to the kept state that are broken or beyond the limits.
+        """Return environments that are broken or beyond the limits to the saved state.
 
         Called after each substep: NaN must not reach the next collision detection,
         whose memory all environments share.

@@ -82,7 +82,7 @@ class ResultRows:
         )
 
     def clear_demand(self) -> None:
-        """Begin to record what the columns ROWS and CONTACTS tell."""
+        """Begin to record what the columns ROWS and CONTACTS hold."""
         self._demand.zero_()
 
     def record_demand(self) -> None:
