@@ -123,6 +123,8 @@ def all_measures(task: Task, rollouts: Rollouts) -> list[Measures]:
 def test_shaped_weights_add_up_to_one(task: Task) -> None:
     assert sum(task.weights["shaped"].values()) == pytest.approx(1, abs=1e-12)
     assert min(task.weights["shaped"].values()) >= 0
+    optional = {name for name, weight in task.weights["shaped"].items() if not weight}
+    assert optional == ({"upright"} if task.name == "Lift" else set())
 
 
 def test_shaped_terms_are_bounded(task: Task, all_measures: list[Measures]) -> None:
