@@ -227,7 +227,8 @@ def _motion(options: Study) -> list[MotionRow]:
     rows = []
     for row in motion_rows(options.policies or default_policies(), options.episodes):
         rows.append(row)
-        console().print(f"{row.policy}: held {row.success_held:.0%}", highlight=False)
+        line = f"{row.policy}: success_held {row.success_held:.0%}"
+        console().print(line, highlight=False)
     return rows
 
 

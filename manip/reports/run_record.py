@@ -65,7 +65,7 @@ class RunRecord:
 
 
 def load_records(runs: Sequence[Path]) -> list[RunRecord]:
-    """Read several; names have as many parts of the paths as tell them apart.
+    """Read several; their names have as many parts of the paths as make them differ.
 
     Raises:
         UserError: as `load_record`.
