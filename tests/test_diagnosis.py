@@ -29,6 +29,7 @@ FLAT = (0,) * 10
         ({"near": HEALTHY, "grasp": HEALTHY, "lift": HEALTHY}, ""),
         ({"near": HEALTHY, "grasp": FLAT, "lift": FLAT}, "stuck at grasp for 10 k"),
         ({"near": FLAT, "grasp": FLAT, "lift": FLAT}, "stuck at near for 10 k"),
+        ({"near": HEALTHY, "grasp": FLAT, "lift": HEALTHY}, ""),
         (
             {"near": HEALTHY, "grasp": HEALTHY, "lift": (0, 1, 2, 2, 2, 2, 2, 2, 2, 2)},
             "stuck at lift for 7.0 k",

@@ -30,7 +30,7 @@ class Diagnosis:
     """What keeps a run from success.
 
     Attributes:
-        kind: stuck: the first milestone that most episodes do not reach has not been
+        kind: stuck: the milestone after the last that most episodes reach has not been
             reached more often for some time; drops: most episodes succeed, but do not
             end in success; collapsed: a rate that was high is low again.
         milestone: the milestone, or the measure of success.
@@ -68,7 +68,7 @@ def diagnose(
 
     Returns:
         the first of these that holds, None for a run that goes well: a rate has
-        collapsed; the first milestone that is not learned is stuck; success is not
+        collapsed; the milestone after the last one learned is stuck; success is not
         held.
     """
     rows = [row for row in rows if "train/success_held" in row]
@@ -86,12 +86,18 @@ def _findings(
         highest = max(row[f"train/{name}"] for row in rows)
         if highest >= USUAL and rate < LOST * highest:
             yield Diagnosis("collapsed", name, _since_rise(rows, name), rate)
-    missing = [name for name in milestones if now[name] < USUAL]
+    missing = _missing(now, milestones)
     if missing and (steps := _since_rise(rows, missing[0])) >= patience:
         yield Diagnosis("stuck", missing[0], steps, now[missing[0]])
     dropped = now["success_once"] >= USUAL > now["success_held"]
     if dropped and (steps := _since_rise(rows, "success_held")) >= patience:
         yield Diagnosis("drops", "success_held", steps, now["success_held"])
+
+
+def _missing(now: Row, milestones: Sequence[str]) -> Sequence[str]:
+    """The milestones after the last learned one: a task can succeed without others."""
+    learned = [i for i, name in enumerate(milestones) if now[name] >= USUAL]
+    return milestones[max(learned, default=-1) + 1 :]
 
 
 def _names(milestones: Sequence[str]) -> list[str]:
