@@ -1,4 +1,4 @@
-"""NutAssembly: put a nut over its peg. robosuite's `NutAssemblySquare` and `...Round`.
+"""Put a nut over its peg. robosuite's `NutAssemblySquare` and `NutAssemblyRound`.
 
 Success: the nut's centre is within 3 cm of the peg along both horizontal axes, less
     than 5 cm above the table, and more than 4.24 cm from the tool. (This is robosuite's
@@ -42,7 +42,7 @@ START_LOW, START_HIGH = np.array([-0.115, 0.11, 0.89]), np.array([-0.11, 0.225, 
 mirrored in y (robosuite/environments/manipulation/nut_assembly.py)."""
 
 
-class NutAssembly(Task):
+class OneNut(Task):
     """Put a nut over its peg; see the module's docstring for the numbers.
 
     Attributes:
@@ -72,11 +72,15 @@ class NutAssembly(Task):
     def sample_start(self, scene: Scene, streams: EpisodeStreams) -> Start:
         """Draw the nut's pose; see the module's docstring."""
         qpos = start_qpos(scene, streams)
-        place = streams.uniform(START_LOW, START_HIGH, 3) * [1, self.side, 1]
-        turn = yaw_quaternion(streams.uniform(0, 2 * np.pi, 1)[:, 0])
-        qpos[:, scene.free_qpos(self.nut)] = np.concatenate([place, turn], axis=1)
+        qpos[:, scene.free_qpos(self.nut)] = self.sample_pose(streams)
         qpos[:, scene.free_qpos(self.other)] = PARKED
         return Start(qpos)
+
+    def sample_pose(self, streams: EpisodeStreams) -> Array:
+        """[n, 7]: the qpos with which the nut starts."""
+        place = streams.uniform(START_LOW, START_HIGH, 3) * [1, self.side, 1]
+        turn = yaw_quaternion(streams.uniform(0, 2 * np.pi, 1)[:, 0])
+        return np.concatenate([place, turn], axis=1)
 
     def sample_waypoint(
         self, milestone: str, scene: Scene, streams: EpisodeStreams
@@ -160,9 +164,10 @@ class NutAssembly(Task):
         }
 
 
-def _sensors(nut: str, other: str, peg: str) -> Sensors:
+def nut_sensors(nut: str, peg: str, **more: str) -> Sensors:
+    """What is read of a nut and its peg, and of more bodies."""
     return Sensors(
-        bodies={"nut": f"{nut}_main", "other": f"{other}_main", "peg": peg},
+        bodies={"nut": f"{nut}_main", **more, "peg": peg},
         sites={"handle": f"{nut}_handle_site"},
         touches={
             "left_touch": ("left_fingerpad", f"{nut}_main"),
@@ -171,20 +176,20 @@ def _sensors(nut: str, other: str, peg: str) -> Sensors:
     )
 
 
-class NutAssemblyRound(NutAssembly):
+class NutAssemblyRound(OneNut):
     """The round nut over the round peg, 4 cm wide."""
 
     robosuite_name = "NutAssemblyRound"
-    sensors = _sensors("RoundNut", "SquareNut", "peg2")
+    sensors = nut_sensors("RoundNut", "peg2", other="SquareNut_main")
     nut, other, side = "RoundNut_main", "SquareNut_main", -1
     peg_radius, play, handle, fits = 0.02, 0.01, 0.06, 0
 
 
-class NutAssemblySquare(NutAssembly):
+class NutAssemblySquare(OneNut):
     """The square nut over the square peg, 3.2 cm wide. It fits in four yaws."""
 
     robosuite_name = "NutAssemblySquare"
-    sensors = _sensors("SquareNut", "RoundNut", "peg1")
+    sensors = nut_sensors("SquareNut", "peg1", other="RoundNut_main")
     nut, other, side = "SquareNut_main", "RoundNut_main", 1
     peg_radius, play, handle, fits = 0.016, 0.006, 0.054, 4
 

@@ -34,6 +34,9 @@ FIRST_LIFT = REST + 0.04
 """Height [m] up to which lifting pays the most."""
 ABOVE_PEG = TOP + 0.02
 """Height [m] from which a nut's lower side clears the peg by 1 cm."""
+LIFTED = TABLE - 0.025 + 0.2
+"""Height [m] of the nut's centre for robosuite's full lifting reward
+(robosuite/environments/manipulation/nut_assembly.py)."""
 REACH_DISTANCE = 0.015
 """Distance [m] of the tool from the handle below which reach pays no more."""
 
@@ -97,7 +100,7 @@ def stock_terms(m: Measures, success: Array) -> dict[str, Array]:
     `staged` is the largest of its stages. Its lifting stage uses the higher nut.
     """
     highest = np.maximum(m["height"], m["other_pos"][:, 2])
-    below = np.maximum(TABLE - 0.025 + 0.2 - highest, 0.0)
+    below = np.maximum(LIFTED - highest, 0.0)
     lift = m["grasped"] * (0.35 + 0.15 * near(below, 1 / 15))
     over = lift + 0.2 * near(m["aside"], 0.1)
     staged = np.maximum(0.1 * near(m["distance"], 0.1), over)

@@ -42,7 +42,7 @@ class Nut(NamedTuple):
     Attributes:
         qpos: entries of its free body.
         side: 1 if its peg is at positive y, else -1.
-        play: as in `NutAssembly`.
+        play: as in `OneNut`.
         handle: distance [m] of the handle's centre from the nut's.
         fits: number of yaws in which it fits over its peg; 0 for any.
     """

@@ -103,6 +103,10 @@ OBJECT_READINGS: dict[str, dict[str, Reading]] = {
         "handle_qpos": lambda r, s: r["handle_qpos"][0, 0],
     },
     "Lift": CUBE,
+    "NutAssembly": {
+        **pose_readings("SquareNut", "Square_nut"),
+        **pose_readings("RoundNut", "Round_nut"),
+    },
     "NutAssemblyRound": pose_readings("RoundNut", "nut"),
     "NutAssemblySquare": pose_readings("SquareNut", "nut"),
     "PickGoal": CUBE_AND_GOAL,

@@ -5,7 +5,7 @@ import pytest
 
 from manip.envs.episode_streams import EpisodeStreams
 from manip.rewards.compose import weighted_sum
-from manip.tasks.nut_assembly import NutAssembly, NutAssemblyRound, NutAssemblySquare
+from manip.tasks.nut_assembly import NutAssemblyRound, NutAssemblySquare, OneNut
 
 PEG = np.array([0.23, 0.1, 0.85])
 HANDLE = np.array([0.054, 0.0, 0.0])
@@ -13,7 +13,7 @@ DOWNWARDS = np.array([0.0, 1, 0, 1, 0, 0, 0, 0, -1])
 """A tool that points down, its fingers closing along y."""
 
 
-def stage_measures(task: NutAssembly) -> dict[str, np.ndarray]:
+def stage_measures(task: OneNut) -> dict[str, np.ndarray]:
     """Measures of nine stages: far, near, grasped, half up, above the peg, at its top,
     grasped on the peg, half opened there, down and released.
     """

@@ -106,6 +106,7 @@ Trace = list[TimeStep]
 RANDOM_RUNS = (
     *(("Lift", controller) for controller in CONTROLLERS),
     ("Door", "OSC_POSE"),
+    ("NutAssembly", "OSC_POSE"),
     ("NutAssemblyRound", "OSC_POSE"),
     ("NutAssemblySquare", "OSC_POSE"),
     ("PickGoal", "OSC_POSE"),

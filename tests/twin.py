@@ -10,6 +10,7 @@ from manip.sim.robosuite_factory import reseed
 from manip.sim.stock_reader import stock_reader
 
 RESYNCED = {
+    "NutAssembly": 5,
     "NutAssemblyRound": 5,
     "NutAssemblySquare": 5,
     "PickPlaceCan": 1,
