@@ -1,4 +1,4 @@
-"""PickPlace: carry an object to its quarter of the other bin. robosuite's
+"""Carry an object to its quarter of the other bin. robosuite's
 `PickPlaceMilk`, `PickPlaceBread`, `PickPlaceCereal` and `PickPlaceCan`.
 
 Success: the object's origin is within its quarter of the bin, at most 10 cm above the
@@ -11,6 +11,7 @@ Start: the object upright in the first bin, any yaw, uniform in a rectangle of 2
 Shaped reward, in [0, 1] per step: see `pick_place_rewards`.
 """
 
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -28,10 +29,10 @@ from manip.tasks.arm import (
 )
 from manip.tasks.experts.pick_place_expert import pick_and_place
 from manip.tasks.object_measures import object_measures
-from manip.tasks.pick_place_items import BIN, ITEMS, SPREAD
+from manip.tasks.pick_place_items import BIN, ITEMS, standing, start_spots
 from manip.tasks.pick_place_measures import WALL, measure_object
 from manip.tasks.pick_place_waypoints import NAMES, place_object
-from manip.tasks.placement import PARKED, poses_with_any_yaw, scatter
+from manip.tasks.placement import PARKED
 from manip.tasks.rotations import cos_sin, yaw_angle
 
 Array = np.ndarray
@@ -40,19 +41,26 @@ CENTRE = np.array([0.1, 0.0, 1.0])
 """Origin [m] of the observed positions of tool and object."""
 
 
-def _sensors(item: str) -> Sensors:
-    body, others = f"{item}_main", [name for name in ITEMS if name != item]
+def object_sensors(item: str) -> Sensors:
+    """What is read of an object."""
+    body = f"{item}_main"
     return Sensors(
-        bodies={"object": body, **{f"other_{name}": f"{name}_main" for name in others}},
+        bodies={"object": body},
         touches={
             "left_touch": ("left_fingerpad", body),
             "right_touch": ("right_fingerpad", body),
         },
-        parked=tuple(f"{name}_main" for name in others),
     )
 
 
-class PickPlace(Task):
+def _sensors(item: str) -> Sensors:
+    own, others = object_sensors(item), [name for name in ITEMS if name != item]
+    parked = {f"other_{name}": f"{name}_main" for name in others}
+    bodies = {**own.bodies, **parked}
+    return replace(own, bodies=bodies, parked=tuple(parked.values()))
+
+
+class OneObject(Task):
     """Carry `item` to its place; see the module's docstring for the numbers."""
 
     item: ClassVar[str]
@@ -65,14 +73,11 @@ class PickPlace(Task):
     def sample_start(self, scene: Scene, streams: EpisodeStreams) -> Start:
         """Draw the object's pose; see the module's docstring."""
         qpos = start_qpos(scene, streams)
-        spread = {name: SPREAD - item.radius for name, item in ITEMS.items()}
-        radius = {name: item.radius for name, item in ITEMS.items()}
-        spots = BIN[:2] + scatter(streams, spread, radius)[self.item]
+        spots = start_spots(streams)[self.item]
         for name in ITEMS:
             qpos[:, scene.free_qpos(f"{name}_main")] = PARKED
-        height = BIN[2] + ITEMS[self.item].stand
         body = scene.free_qpos(f"{self.item}_main")
-        qpos[:, body] = poses_with_any_yaw(streams, spots, height)
+        qpos[:, body] = standing(streams, self.item, spots)
         return Start(qpos)
 
     def sample_waypoint(
@@ -150,7 +155,7 @@ class PickPlace(Task):
         }
 
 
-class PickPlaceMilk(PickPlace):
+class PickPlaceMilk(OneObject):
     """The milk carton."""
 
     robosuite_name = "PickPlaceMilk"
@@ -158,7 +163,7 @@ class PickPlaceMilk(PickPlace):
     sensors = _sensors("Milk")
 
 
-class PickPlaceBread(PickPlace):
+class PickPlaceBread(OneObject):
     """The loaf of bread."""
 
     robosuite_name = "PickPlaceBread"
@@ -166,7 +171,7 @@ class PickPlaceBread(PickPlace):
     sensors = _sensors("Bread")
 
 
-class PickPlaceCereal(PickPlace):
+class PickPlaceCereal(OneObject):
     """The cereal box, which fits between the fingers one way only."""
 
     robosuite_name = "PickPlaceCereal"
@@ -174,7 +179,7 @@ class PickPlaceCereal(PickPlace):
     sensors = _sensors("Cereal")
 
 
-class PickPlaceCan(PickPlace):
+class PickPlaceCan(OneObject):
     """The can."""
 
     robosuite_name = "PickPlaceCan"

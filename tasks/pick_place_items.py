@@ -4,6 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from manip.envs.episode_streams import EpisodeStreams
+from manip.tasks.placement import poses_with_any_yaw, scatter
+
 Array = np.ndarray
 
 
@@ -74,3 +77,16 @@ BIN = np.array([0.1, -0.25, 0.8])
 """Origin [m] of the first bin (robosuite/environments/manipulation/pick_place.py)."""
 SPREAD = np.array([0.145, 0.195])
 """Half widths [m] of the rectangle in which an object's circle starts (ibid.)."""
+
+
+def start_spots(streams: EpisodeStreams) -> dict[str, Array]:
+    """Name -> [n, 2] m: where the objects start, clear of one another."""
+    spread = {name: SPREAD - item.radius for name, item in ITEMS.items()}
+    radius = {name: item.radius for name, item in ITEMS.items()}
+    spots = scatter(streams, spread, radius)
+    return {name: BIN[:2] + spot for name, spot in spots.items()}
+
+
+def standing(streams: EpisodeStreams, name: str, spots: Array) -> Array:
+    """[n, 7]: qpos of an object that stands at `spots` [n, 2] m in a bin, any yaw."""
+    return poses_with_any_yaw(streams, spots, BIN[2] + ITEMS[name].stand)

@@ -27,7 +27,8 @@ def measure_object(read: Measures, item: Item) -> Measures:
     from the tool to the grip on the object; object_mat [N, 9], its rotation;
     to_place [N, 2] m from the object; height [N] m since it stood; grasped [N]
     bool, robosuite's test; firm_grasp [N] bool, with the tool inside the object's
-    box; over, inside [N] bool: it is above its place, in its quarter of the bin.
+    box; over, inside [N] bool: it is above its place, in its quarter of the bin;
+    symmetry [N], of its item.
     """
     matrix, position = rotation_matrix(read["object_quat"]), read["object_pos"]
     to_object = position - read["eef_pos"]
@@ -45,6 +46,7 @@ def measure_object(read: Measures, item: Item) -> Measures:
         "firm_grasp": grasped & _in_box(item, matrix, -to_object),
         "over": _over_place(to_place, height),
         "inside": _in_quarter(to_place, height),
+        "symmetry": np.full(len(position), item.symmetry),
     }
 
 
@@ -57,8 +59,8 @@ def _in_quarter(to_place: Array, height: Array) -> Array:
 
 
 def over_quarter(to_place: Array) -> Array:
-    """[N] bool: the object is in or above its quarter; to_place [N, 2] m from it."""
-    return (np.abs(to_place) < QUARTER).all(axis=1)
+    """[...] bool: an object is in or above its quarter; to_place [..., 2] m from it."""
+    return (np.abs(to_place) < QUARTER).all(axis=-1)
 
 
 def _over_place(to_place: Array, height: Array) -> Array:

@@ -93,7 +93,7 @@ def _below_lifted(m: Measures) -> Array:
 
 
 def _length(offset: Array) -> Array:
-    return np.linalg.norm(offset, axis=1)
+    return np.linalg.norm(offset, axis=-1)
 
 
 TERMS = {"shaped": shaped_terms, "stock": stock_terms}

@@ -4,7 +4,7 @@ import pytest
 
 from manip.envs.task_registry import task_names
 
-LONG = {"NutAssembly", "ToolHang"}
+LONG = {"NutAssembly", "PickPlace", "ToolHang"}
 """Tasks whose experts take hundreds of steps."""
 ALIKE = {"NutAssemblyRound", "PickPlaceBread", "PickPlaceMilk"}
 """Tasks that differ from another one in a few numbers."""

@@ -110,6 +110,11 @@ OBJECT_READINGS: dict[str, dict[str, Reading]] = {
     "NutAssemblyRound": pose_readings("RoundNut", "nut"),
     "NutAssemblySquare": pose_readings("SquareNut", "nut"),
     "PickGoal": CUBE_AND_GOAL,
+    "PickPlace": {
+        theirs: reading
+        for name in ("Milk", "Bread", "Cereal", "Can")
+        for theirs, reading in pose_readings(name, f"{name}_object").items()
+    },
     "PickPlaceBread": pose_readings("Bread", "object"),
     "PickPlaceCan": pose_readings("Can", "object"),
     "PickPlaceCereal": pose_readings("Cereal", "object"),

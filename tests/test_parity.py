@@ -110,6 +110,7 @@ RANDOM_RUNS = (
     ("NutAssemblyRound", "OSC_POSE"),
     ("NutAssemblySquare", "OSC_POSE"),
     ("PickGoal", "OSC_POSE"),
+    ("PickPlace", "OSC_POSE"),
     ("PickPlaceBread", "OSC_POSE"),
     ("PickPlaceCan", "OSC_POSE"),
     ("PickPlaceCereal", "OSC_POSE"),

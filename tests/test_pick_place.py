@@ -8,7 +8,7 @@ from manip.envs.episode_streams import EpisodeStreams
 from manip.rewards.compose import weighted_sum
 from manip.sim.batch_engine import BatchEngine
 from manip.tasks.pick_place import (
-    PickPlace,
+    OneObject,
     PickPlaceBread,
     PickPlaceCan,
     PickPlaceCereal,
@@ -19,7 +19,7 @@ from manip.tasks.pick_place_items import ITEMS
 TASKS = (PickPlaceBread, PickPlaceCan, PickPlaceCereal, PickPlaceMilk)
 
 
-def stage_measures(task: PickPlace) -> dict[str, np.ndarray]:
+def stage_measures(task: OneObject) -> dict[str, np.ndarray]:
     """Measures of nine stages: far, near, grasped, 8 cm up, 20 cm up, over its place,
     half opened there, just released there, inside.
     """

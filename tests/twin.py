@@ -13,6 +13,7 @@ RESYNCED = {
     "NutAssembly": 5,
     "NutAssemblyRound": 5,
     "NutAssemblySquare": 5,
+    "PickPlace": 1,
     "PickPlaceCan": 1,
     "PickPlaceMilk": 1,
     "ToolHang": 5,

@@ -1,4 +1,4 @@
-"""The scripted expert of the four PickPlace tasks."""
+"""The scripted expert of the four PickPlace tasks of one object."""
 
 import numpy as np
 
@@ -15,17 +15,33 @@ def pick_and_place(m: Measures, bin_centre: Array, symmetry: int) -> Array:
 
     bin_centre [3] m: of the first bin; symmetry: see `pick_place_items.Item`.
     """
+    no_turn = np.zeros(len(m["to_grip"]))
+    turn = _turn(m, bin_centre, symmetry) if symmetry else no_turn
+    return move_object(m, turn, _across(m), m["height"] < 0.03)
+
+
+def move_object(
+    m: Measures, turn: Array, carry: Array, low: Array, near: Array | bool = True
+) -> Array:
+    """The action of the hand.
+
+    Args:
+        m: measures.
+        turn: [n] rad, of the open hand.
+        carry: [n, 3] m, offset of a carried object.
+        low: [n] bool: a carried object is low enough to be released over its place.
+        near: [n] bool: the hand is near the object, so that it has just released it.
+    """
     offset, grip = m["to_grip"].copy(), m["gripper_closing"]
-    turn = _turn(m, bin_centre, symmetry) if symmetry else np.zeros(len(grip))
     aside = np.linalg.norm(offset[:, :2], axis=1)
     apart = (aside > 0.01 + 0.01 * ramp(offset[:, 2], -0.05, 0.0)) | (abs(turn) > 0.1)
     still = (np.abs(m["joint_vel"]).max(axis=1) < 0.1) & (offset[:, 2] > -0.03)
     at_grip = (np.linalg.norm(offset, axis=1) < 0.012) | (still & ~apart)
-    release = m["over"] & (~m["grasped"] | (m["height"] < 0.03) | (grip < 0.9))
+    release = m["over"] & ((~m["grasped"] & near) | low | (grip < 0.9))
     closing = (m["grasped"] | at_grip | (~apart & (grip > -0.9))) & ~release
     offset[:, 2] += np.where(apart & ~closing, 0.07, 0.0)
     carried = m["grasped"] & (grip > 0.9)
-    offset = np.where(carried[:, None], _across(m), offset)
+    offset = np.where(carried[:, None], carry, offset)
     leave = np.where(m["grasped"], 0.0, 0.1)[:, None] * UP
     offset = np.where(release[:, None], leave, offset)
     action = move_action(offset, np.where(closing, 1.0, -1.0))
