@@ -23,6 +23,10 @@ Array = np.ndarray
 JOINT_TOLERANCE = {"OSC_POSE": 1e-5, "OSC_POSITION": 1e-10, "JOINT_POSITION": 1e-12}
 """Largest joint difference [rad] after 50 random steps."""
 
+OBJECT_TOLERANCE = {"PickPlace": 2e-4}
+"""Largest difference of an object's pose (m, or of a quaternion), where it is not 1e-5:
+contacts among several objects amplify differences within a control step."""
+
 NUM_ENVS, ENV_ID = 12, 7
 
 SUCCESS_STEPS = 10
@@ -231,12 +235,13 @@ def test_success_comes_when_stock_says_so(expert_run: Run) -> None:
 
 def test_objects_follow_stock_through_an_episode(expert_run: Run) -> None:
     name = expert_run.task.name
+    atol = OBJECT_TOLERANCE.get(name, 1e-5)
     for at in expert_run.trace:
         for key, read in OBJECT_READINGS[name].items():
             ours, theirs = read(at.read, expert_run.scene), at.stock[key]
             if key.endswith("quat"):
                 ours = ours * np.sign(ours @ theirs)  # q and -q are the same turn
-            np.testing.assert_allclose(ours, theirs, 1e-4, 1e-5, err_msg=key)
+            np.testing.assert_allclose(ours, theirs, 1e-4, atol, err_msg=key)
 
 
 def test_touches_are_stocks(expert_run: Run) -> None:
