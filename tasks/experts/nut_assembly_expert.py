@@ -53,7 +53,7 @@ def assemble_nuts(m: Measures) -> Array:
 def _leave(m: Measures, ahead: Array) -> Array:
     """[n, 3]: the action towards the active nut: back from the peg, then sideways."""
     offset = m["to_handle"].copy()
-    offset[:, 0] = np.where(m["threaded"], -0.05, offset[:, 0])
+    offset[:, 0] = np.where(m["threaded"], np.minimum(ahead, 0), offset[:, 0])
     offset[:, 1] *= ~m["threaded"] & (ahead > 0)
     offset[:, 2] = HIGH - m["eef_pos"][:, 2]
     return np.clip(GAIN * offset, -1, 1)
