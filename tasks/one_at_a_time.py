@@ -100,8 +100,7 @@ class OneAtATime(Task):
 
     def success(self, m: Measures) -> Array:
         """All objects are done."""
-        finished: Array = m["done"].all(axis=1)
-        return finished
+        return np.asarray(m["done"].all(axis=1))
 
     def milestones(self, m: Measures) -> dict[str, Array]:
         """Those of the active object, then how many objects are done."""
