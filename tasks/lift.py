@@ -58,6 +58,7 @@ class Lift(Task):
     """Raise the cube; see the module's docstring for the numbers."""
 
     robosuite_name = "Lift"
+    takes_tensors = True
     sensors = Sensors(bodies=CUBE_BODY, touches=PAD_TOUCHES)
     horizon = 100
     milestone_names = ("near", "grasp", "lift")
@@ -93,7 +94,7 @@ class Lift(Task):
             return {
                 "reach": pending * near(m["distance"], 0.1),
                 "grasp": pending * m["grasped"],
-                "lift": self.success(m).astype(float),
+                "lift": 1.0 * self.success(m),
             }
         return {
             "reach": near(m["distance"], 0.2),

@@ -105,7 +105,7 @@ def _with_tensors(op: Any, values: tuple[Any, ...]) -> list[Any]:
     forms = getattr(op, "_schema", None)
     kinds = [str(a.type) for a in forms.arguments] if forms else [""] * len(values)
     return [
-        torch.tensor(value)
+        torch.tensor(value, dtype=torch.float64 if type(value) is float else None)
         if kind == "Tensor" and isinstance(value, bool | int | float)
         else value
         for value, kind in zip(values, kinds, strict=False)
