@@ -24,8 +24,8 @@ def namespace(values: Any) -> Any:
 
 
 def constant(values: Any, like: Any) -> Any:
-    """Numbers for arithmetic with an array: on its device if it is a tensor."""
-    if not is_tensor(like):
+    """Numbers for arithmetic with an array: a tensor on its device if it is one."""
+    if is_tensor(values) or not is_tensor(like):
         return values
     return namespace(like).as_tensor(np.asarray(values), device=like.device)
 

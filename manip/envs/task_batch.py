@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from manip.arrays import constant, on_host
 from manip.cameras import check_cameras
 from manip.envs.episode_options import EpisodeOptions
 from manip.envs.episode_streams import check_purpose, check_seed
@@ -58,8 +59,12 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
         control_dt: control period [s].
         elapsed: [N] control steps since each episode began.
         episode: [N] number of each environment's episode; -1 before the first.
+        gives_tensors: the arrays of `TimeStep` are torch tensors on a device, and so
+            are the actions.
         faults, fault_count, stop_at_faults, dump_folder: see `FaultRecorder`.
     """
+
+    gives_tensors = False
 
     def __init__(
         self,
@@ -88,7 +93,7 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
             self.horizon = options.horizon or task.horizon
             overrides = options.reward_weights or {}
             self.reward_weights = override_weights(task.weights[reward], overrides)
-            self._cache = MeasureCache(task, num_envs, self.read, self._version)
+            self._cache = MeasureCache(task, num_envs, self._task_reads, self._version)
             outputs = evaluate(task, self._cache.get(), reward)
             self._visible = VisibleMeasures(
                 task, num_envs, self._cache.get, self.control_dt
@@ -112,6 +117,10 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
     @abstractmethod
     def read(self) -> Measures:
         """Current readings of all environments."""
+
+    def _task_reads(self) -> Measures:
+        """Current readings from which the task is evaluated."""
+        return self.read()
 
     def _version(self) -> object:
         """A value that changes with the state; by default a new one in every call."""
@@ -192,14 +201,15 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
         """Advance all environments by one control step.
 
         Args:
-            action: [N, A] in [-1, 1].
+            action: [N, A] in [-1, 1]; a torch tensor with `gives_tensors`.
 
         Raises:
             UserError: the action has another shape or holds no real numbers, or an
                 environment has not begun an episode.
         """
-        checked_actions(action, self.num_envs, self.action_dim)
-        action = np.asarray(action)
+        if not self.gives_tensors:
+            checked_actions(action, self.num_envs, self.action_dim)
+            action = np.asarray(action)
         if not self._begun.all():
             raise UserError("step() was called before reset(): begin an episode first")
         perturber = self._perturber
@@ -210,7 +220,7 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
         self.elapsed += 1
         self._image_stacks.append()
         if diverged.any():
-            no_number = diverged & np.isnan(action).any(axis=1)
+            no_number = diverged & np.isnan(on_host(action)).any(axis=1)
             self._record_faults(
                 [("action", no_number), ("physics", diverged & ~no_number)]
             )
@@ -233,6 +243,7 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
             time_step = self._time_step(never)
         if self._non_finite.all():
             raise UserError(f"{self.faults[-1]}, and so are all other environments")
+        never = constant(never, time_step.terminated)
         return time_step._replace(terminated=never, truncated=never)
 
     def measures(self) -> Array:
@@ -247,7 +258,8 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
             UserError: the task has none, or its action has a wrong shape.
         """
         with blamed(self.task):
-            action = self.task.expert(self._cache.get())
+            measures = self._cache.get().items()
+            action = self.task.expert({name: on_host(v) for name, v in measures})
         if np.shape(action) != (self.num_envs, self.action_dim):
             raise UserError(
                 f"task {self.task.name!r}: expert(m) has shape {np.shape(action)}, not "
@@ -279,7 +291,7 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
             success=outputs.success,
             milestones=outputs.milestones,
             terminated=terminated,
-            truncated=over & ~terminated,
+            truncated=constant(over, terminated) & ~terminated,
             images=self._image_stacks.now,
         )
         finite = time_step.finite()

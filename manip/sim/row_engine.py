@@ -98,7 +98,7 @@ class RowEngine(NotCopied, ABC):
         """Called after saved rows were put back, which need no `mj_forward`."""
 
     def _fetch(self) -> None:
-        """Called before present rows are read; a device engine copies them to the host."""
+        """Called before present rows are read; an engine on a device copies them."""
 
     @abstractmethod
     def _another(self) -> Self:
@@ -120,8 +120,7 @@ class RowEngine(NotCopied, ABC):
 
         The gripper closes while its number is positive: only the sign counts.
         """
-        action_dim = self.scene.layout.action_dim
-        actions = checked_actions(action, self.num_envs, action_dim)
+        actions = self._checked(action)
         with self._exclusive:
             self._advance(actions, self._now, self._before)
             self._now, self._before = self._before, self._now
@@ -235,14 +234,16 @@ class RowEngine(NotCopied, ABC):
         """Build another engine in the same state; both share the scene."""
         copy = self._another()
         copy.restore(self.save())
-        before = self.before
-        copy._before.states[:], copy._before.readings[:] = (
-            before.states,
-            before.readings,
-        )
+        copy._before.states[:] = self.before.states
+        copy._before.readings[:] = self.before.readings
         copy.broken[:], copy.broken_count = self.broken, self.broken_count
         copy.changes = self.changes
         return copy
+
+    def _checked(self, action: Array) -> Array:
+        """The action as `_advance` takes it; see `checked_actions`."""
+        action_dim = self.scene.layout.action_dim
+        return checked_actions(action, self.num_envs, action_dim)
 
     def _new_buffer(self) -> Buffer:
         states = np.tile(self._default, (self.num_envs, 1))

@@ -25,6 +25,7 @@ from manip.errors import UserError
 from manip.training.config import SCALE, TrainConfig
 from manip.training.groups import groups_of
 from manip.training.inputs import cameras_of, spaces_of
+from manip.training.placement import learns_on_gpu
 from manip.training.randomisation import load_randomisation
 from manip.training.reward_weights import parse_weights
 from manip.training.schedule import has_curve
@@ -85,7 +86,8 @@ def _engine_options(config: TrainConfig) -> dict[str, Any]:
     """The options of `make_batch` for the engine of the training environments."""
     chosen = {name: getattr(config, name) for name in ("device", "njmax", "nconmax")}
     if config.engine == "warp":
-        return {"backend": "warp", **chosen}
+        tensors = learns_on_gpu(config) and not config.taste
+        return {"backend": "warp", "tensors": tensors, **chosen}
     if any(value is not None for value in chosen.values()):
         raise UserError("--device, --njmax and --nconmax are options of --engine warp")
     return {}

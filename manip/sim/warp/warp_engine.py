@@ -5,11 +5,14 @@ from typing import Any, Self
 import numpy as np
 import warp as wp
 
+from manip.arrays import is_tensor
 from manip.cpus import usable_cpus
+from manip.errors import UserError
 from manip.sim.engine import Snapshot
 from manip.sim.row_engine import Buffer, RowEngine
 from manip.sim.scene import Scene
 from manip.sim.warp.device_envs import DeviceEnvs
+from manip.sim.warp.device_readings import DeviceReadings
 from manip.sim.warp.library import Device, check_library
 from manip.sim.warp.result_rows import Look
 from manip.sim.warp.sizes import Sizes, check_demand
@@ -52,6 +55,7 @@ class WarpEngine(RowEngine):
         self.device, self.sizes, self.demand = device, sizes, Sizes(0, 0)
         with wp.ScopedDevice(device):
             self._envs = DeviceEnvs(scene, num_envs, sizes)
+            self._readings = DeviceReadings(scene, self._envs.results)
         self._now_old = self._before_old = False
         self._memory_at = self._default.size - sum(scene.layout.memory.values())
         self._forward(np.arange(num_envs))  # objects may overlap in the default pose
@@ -73,6 +77,30 @@ class WarpEngine(RowEngine):
             self._copy_rows(self._envs.results.before, self._before)
             self._before_old = False
         return super().before
+
+    def tensors(self) -> dict[str, Any]:
+        """The present readings as torch tensors on the device, see `DeviceReadings`."""
+        with self._exclusive:
+            self._wait()  # torch has other streams than Warp
+            return self._readings.read()
+
+    def _checked(self, action: Any) -> Any:
+        """Actions of the host, checked; or a tensor [N, A] on the device."""
+        if not is_tensor(action):
+            return super()._checked(action)
+        expected = self.num_envs, self.scene.layout.action_dim
+        if tuple(action.shape) != expected:
+            raise UserError(
+                f"the action has shape {tuple(action.shape)}, expected {expected}"
+            )
+        self._wait()
+        return action
+
+    def _wait(self) -> None:
+        """Wait for all work on the device, of Warp and of torch."""
+        device = wp.get_device(self.device)
+        if device.is_cuda:
+            wp.synchronize_device(device)
 
     def _advance(self, actions: Array, now: Buffer, after: Buffer) -> None:
         with wp.ScopedDevice(self.device):
