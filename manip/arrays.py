@@ -5,6 +5,7 @@ physics. numpy and torch have most functions under the same name, with `axis`.
 """
 
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -34,3 +35,8 @@ def on_host(values: Any) -> Array:
     """A numpy array of an array or tensor; the same memory if that is the host's."""
     array: Array = values.numpy(force=True) if is_tensor(values) else values
     return array
+
+
+def all_on_host(named: Mapping[str, Any]) -> dict[str, Array]:
+    """The same for named arrays or tensors."""
+    return {name: on_host(values) for name, values in named.items()}

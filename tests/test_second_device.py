@@ -3,9 +3,11 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
+from second_batch import SecondBatch
 from second_device import CPU, SECOND, seeded_generator
 from tensordict import TensorDictBase
 from toy import QUICK_PPO, QUICK_SAC, SPACES, Points, make_agent, rollout_of
@@ -16,14 +18,18 @@ from manip.agents.agent import Agent
 from manip.agents.policy import load_policy
 from manip.agents.ppo import PPO
 from manip.agents.sac import SAC
+from manip.envs.backends.native_batch import NativeBatch
+from manip.envs.task_batch import TaskBatch
+from manip.envs.task_registry import load_task
 from manip.evaluation.episodes import run_episodes
 from manip.io.tensor_trees import load_tree
-from manip.training import run_parts
+from manip.training import build, run_parts
 from manip.training.build import host_actor
 from manip.training.collector import Rollout
 
-SAC_AT_ONCE = replace(QUICK_SAC, random_steps=0, updates_per_step=0.1)
-AGENTS = {"ppo": (PPO, QUICK_PPO), "sac": (SAC, SAC_AT_ONCE)}
+FEW_EPOCHS = replace(QUICK_PPO, epochs=2)
+SAC_AT_ONCE = replace(QUICK_SAC, random_steps=0, updates_per_step=0.05)
+AGENTS = {"ppo": (PPO, FEW_EPOCHS), "sac": (SAC, SAC_AT_ONCE)}
 
 both = pytest.mark.parametrize("algo", [*AGENTS])
 
@@ -84,11 +90,22 @@ def test_policies_are_evaluated_on_the_cpu(algo: str) -> None:
     run_episodes(Points([3, 5]), lambda parts: actor.decide(parts["x"]), 2)
 
 
+def make_batch(task: str, num_envs: int, **options: Any) -> TaskBatch:
+    """Of training, on the second device; of evaluations, on the host."""
+    kind = SecondBatch if options.get("stagger") else NativeBatch
+    return kind(load_task(task), num_envs, **options)
+
+
 @pytest.mark.slow
+@pytest.mark.parametrize("task_there", [False, True])
 @both
-def test_a_run_on_a_device_is_that_on_the_cpu(algo: str, tmp_path: Path) -> None:
+def test_a_run_on_a_device_is_that_on_the_cpu(
+    algo: str, task_there: bool, tmp_path: Path
+) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run_parts, "learner_device", lambda _: SECOND)
+        if task_there:
+            patch.setattr(build, "make_batch", make_batch)
         trainer = new_trainer(tiny(algo, tmp_path / "run"))
         assert trainer.run()
     policy, expected = (

@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from manip.arrays import constant, on_host
+from manip.arrays import all_on_host, constant, on_host
 from manip.cameras import check_cameras
 from manip.envs.episode_options import EpisodeOptions
 from manip.envs.episode_streams import check_purpose, check_seed
 from manip.envs.fault_recorder import FaultRecorder
-from manip.envs.faults import non_finite
 from manip.envs.image_stacks import ImageStacks
 from manip.envs.measure_cache import MeasureCache
 from manip.envs.option_checks import state_array
@@ -24,7 +23,7 @@ from manip.envs.reward_range import RewardRange
 from manip.envs.task import Measures, Task
 from manip.envs.task_check import check_memory, check_task
 from manip.envs.task_errors import blamed, exits_blamed
-from manip.envs.task_outputs import OutputForm, TaskOutputs, evaluate
+from manip.envs.task_outputs import OutputForm, evaluate
 from manip.envs.time_step import TimeStep
 from manip.envs.visible_measures import VisibleMeasures
 from manip.errors import UserError, at_least, check_choice
@@ -59,8 +58,7 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
         control_dt: control period [s].
         elapsed: [N] control steps since each episode began.
         episode: [N] number of each environment's episode; -1 before the first.
-        gives_tensors: the arrays of `TimeStep` are torch tensors on a device, and so
-            are the actions.
+        gives_tensors: arrays of `TimeStep`, and actions, are tensors on a device.
         faults, fault_count, stop_at_faults, dump_folder: see `FaultRecorder`.
     """
 
@@ -258,8 +256,7 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
             UserError: the task has none, or its action has a wrong shape.
         """
         with blamed(self.task):
-            measures = self._cache.get().items()
-            action = self.task.expert({name: on_host(v) for name, v in measures})
+            action = self.task.expert(all_on_host(self._cache.get()))
         if np.shape(action) != (self.num_envs, self.action_dim):
             raise UserError(
                 f"task {self.task.name!r}: expert(m) has shape {np.shape(action)}, not "
@@ -301,9 +298,3 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
             time_step = time_step.cut_off(finite, self._last_observation)
         self._last_observation = time_step.observation
         return time_step
-
-    def _record_outputs(self, outputs: TaskOutputs) -> None:
-        self._record_faults(
-            non_finite("observation", outputs.parts, self.num_envs)
-            + non_finite("reward term", outputs.terms, self.num_envs)
-        )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from manip.arrays import on_host
+from manip.arrays import all_on_host, on_host
 from manip.envs.hand_motion import HandMotion
 from manip.envs.option_checks import state_array
 from manip.envs.task import Measures, Task
@@ -77,8 +77,7 @@ class VisibleMeasures:
             rows[:] = state_array(state, "motion", rows)
 
     def _all(self) -> dict[str, Array]:
-        measures = {name: on_host(v) for name, v in self._measure().items()}
-        return {**measures, **self._motion.readings()}
+        return {**all_on_host(self._measure()), **self._motion.readings()}
 
     def _position(self) -> Array:
         """[N, 3] m: the hand; 0 where the task's simulation does not give it."""

@@ -113,9 +113,8 @@ class TrainConfig:
     MuJoCo Warp on an NVIDIA GPU (the extra gpu, docs/gpu.md). Evaluations always use
     the native engine."""
     device: Device | None = None
-    """Device of --engine warp, cuda unless given; PPO and SAC also learn there, with
-    recipes for thousands of environments (docs/gpu.md). cpu: the same kernels on one
-    core, to try and to test them."""
+    """Device of --engine warp, cuda unless given: PPO and SAC also learn there
+    (docs/gpu.md). cpu: the same kernels on one core, to try and to test them."""
     njmax: Annotated[int | None, COUNT] = None
     """Constraint rows that --engine warp allocates for an environment; as measured for
     the task unless given. A larger number takes more memory and time."""

@@ -1,12 +1,15 @@
 """WarpBatch: N environments of a task on MuJoCo Warp."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.task import Measures, Task
 from manip.sim.row_engine import RowEngine
 from manip.sim.warp.library import Device, check_library
 from manip.sim.warp.sizes import sizes_of
+
+if TYPE_CHECKING:
+    from manip.sim.warp.warp_engine import WarpEngine
 
 
 class WarpBatch(NativeBatch):
@@ -31,6 +34,8 @@ class WarpBatch(NativeBatch):
         UserError: as `NativeBatch`; or a package or a CUDA device is missing. A step
             raises it where njmax or nconmax is too small.
     """
+
+    engine: "WarpEngine"
 
     def __init__(
         self,

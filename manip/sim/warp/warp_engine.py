@@ -1,5 +1,6 @@
 """WarpEngine: step N environments of one scene with MuJoCo Warp."""
 
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -55,7 +56,6 @@ class WarpEngine(RowEngine):
         self.device, self.sizes, self.demand = device, sizes, Sizes(0, 0)
         with wp.ScopedDevice(device):
             self._envs = DeviceEnvs(scene, num_envs, sizes)
-            self._readings = DeviceReadings(scene, self._envs.results)
         self._now_old = self._before_old = False
         self._memory_at = self._default.size - sum(scene.layout.memory.values())
         self._forward(np.arange(num_envs))  # objects may overlap in the default pose
@@ -78,11 +78,15 @@ class WarpEngine(RowEngine):
             self._before_old = False
         return super().before
 
+    @cached_property
+    def _device_readings(self) -> DeviceReadings:
+        return DeviceReadings(self.scene, self._envs.results)
+
     def tensors(self) -> dict[str, Any]:
         """The present readings as torch tensors on the device, see `DeviceReadings`."""
         with self._exclusive:
             self._wait()  # torch has other streams than Warp
-            return self._readings.read()
+            return self._device_readings.read()
 
     def _checked(self, action: Any) -> Any:
         """Actions of the host, checked; or a tensor [N, A] on the device."""
