@@ -4,6 +4,7 @@ Every operation on its tensors runs on the CPU; one that mixes them with tensors
 CPU raises an error, as on a GPU. `torch.utils.backend_registration` of torch 2.13.
 """
 
+from types import SimpleNamespace
 from typing import Any
 
 import torch
@@ -21,20 +22,26 @@ _memory: dict[int, Tensor] = {}
 """Storage of a tensor of the device -> the tensor of the CPU that holds its numbers."""
 
 
-class _Module:
-    """What torch asks of the module `torch.second`."""
-
-    is_initialized = is_available = lambda self: True
-    _is_in_bad_fork = lambda self: False  # noqa: E731
-    current_device = lambda self: 0  # noqa: E731
-    device_count = lambda self: 1  # noqa: E731
-    manual_seed_all = lambda self, seed: None  # noqa: E731
-    synchronize = lambda self: None  # noqa: E731
+_MODULE = SimpleNamespace(
+    is_initialized=lambda: True,
+    is_available=lambda: True,
+    _is_in_bad_fork=lambda: False,
+    current_device=lambda: 0,
+    device_count=lambda: 1,
+    manual_seed_all=lambda seed: None,
+    synchronize=lambda: None,
+)
+"""What torch asks of the module `torch.second`."""
 
 
 class _Hooks(torch._C._acc.PrivateUse1Hooks):
-    is_available = is_built = lambda self: True
-    has_primary_context = lambda self, device: True  # noqa: E731
+    def is_available(self) -> bool:
+        return True
+
+    is_built = is_available
+
+    def has_primary_context(self, device: int) -> bool:
+        return True
 
 
 def _on_device(numbers: Tensor) -> Tensor:
@@ -124,7 +131,7 @@ def _copied(self: Tensor, memo: dict[int, Any]) -> Tensor:
     return copy
 
 
-_setup_privateuseone_for_python_backend(NAME, backend_module=_Module(), hook=_Hooks())
+_setup_privateuseone_for_python_backend(NAME, backend_module=_MODULE, hook=_Hooks())
 _fallback, _aten = (torch.library.Library(name, "IMPL") for name in ("_", "aten"))
 _fallback.fallback(_run, "PrivateUse1")
 for _name in WHOLE:
