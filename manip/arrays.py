@@ -31,6 +31,11 @@ def constant(values: Any, like: Any) -> Any:
     return namespace(like).as_tensor(np.asarray(values), device=like.device)
 
 
+def floats(flags: Any) -> Any:
+    """Flags as numbers, 0.0 or 1.0, in float64."""
+    return flags.double() if is_tensor(flags) else flags.astype(float)
+
+
 def on_host(values: Any) -> Array:
     """A numpy array of an array or tensor; the same memory if that is the host's."""
     array: Array = values.numpy(force=True) if is_tensor(values) else values

@@ -22,6 +22,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from manip.arrays import floats
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, ramp
@@ -94,7 +95,7 @@ class Lift(Task):
             return {
                 "reach": pending * near(m["distance"], 0.1),
                 "grasp": pending * m["grasped"],
-                "lift": 1.0 * self.success(m),
+                "lift": floats(self.success(m)),
             }
         return {
             "reach": near(m["distance"], 0.2),

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from manip.arrays import constant, namespace
+from manip.arrays import constant, floats, namespace
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import ramp
@@ -121,7 +121,7 @@ class Stack(Task):
             "a_linvel": m["a_linvel"],
             "a_angvel": 0.2 * m["a_angvel"],
             "touch": xp.stack([m[name] for name in self.sensors.touches], axis=1),
-            "on": 1.0 * m["on"][:, None],
+            "on": floats(m["on"][:, None]),
         }
 
     def reward_terms(self, m: Measures, reward: str) -> dict[str, Array]:

@@ -22,7 +22,7 @@ and knocked it down.
 
 import numpy as np
 
-from manip.arrays import namespace
+from manip.arrays import floats, namespace
 from manip.envs.task import Measures, Weights
 from manip.rewards.kernels import near, ramp
 
@@ -69,9 +69,9 @@ def shaped_terms(m: Measures, success: Array) -> dict[str, Array]:
         "lift": xp.maximum(on, lift),
         "align": xp.maximum(on, lift * near(m["aside"], 1 / 6)),
         "lower": xp.maximum(on, grasp * _lowered(m)),
-        "on": 1.0 * on,
+        "on": floats(on),
         "open": on * ramp(-m["gripper_closing"], -1.0, 1.0),
-        "release": 1.0 * on * success,
+        "release": on * floats(success),
         "clear": on * success * ramp(m["distance"], 0.0, CLEAR),
     }
 
@@ -89,9 +89,9 @@ def stock_terms(m: Measures, success: Array) -> dict[str, Array]:
     return {
         "reach": ~lifted * near(m["distance"], 0.1),
         "grasp": ~lifted * m["grasped"],
-        "lift": 1.0 * (lifted & ~success),
+        "lift": floats(lifted & ~success),
         "align": (lifted & ~success) * near(m["aside"], 1.0),
-        "stack": 1.0 * success,
+        "stack": floats(success),
     }
 
 
