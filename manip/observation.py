@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
+from manip.arrays import is_tensor, namespace
 from manip.errors import UserError, shown, unknown
 
 Array = np.ndarray
@@ -73,7 +74,10 @@ class ObservationSpec:
 
         Numbers beyond float32's range become infinite, without a warning.
         """
-        flat = [np.reshape(parts[name], (len(parts[name]), -1)) for name in self.slices]
+        named = [parts[name] for name in self.slices]
+        if named and is_tensor(named[0]):
+            return _joined_tensors(named)
+        flat = [np.reshape(part, (len(part), -1)) for part in named]
         with np.errstate(over="ignore"):
             return np.concatenate(flat, axis=1, dtype=np.float32)
 
@@ -119,6 +123,11 @@ class ObservationSpec:
         return spec
 
 
+def _joined_tensors(parts: Sequence[Any]) -> Any:
+    flat = [part.reshape((len(part), -1)) for part in parts]
+    return namespace(flat[0]).concatenate(flat, axis=1).float()
+
+
 def vector_spec(
     parts: Mapping[str, Array], proprioception: Iterable[str]
 ) -> ObservationSpec:
@@ -129,7 +138,7 @@ def vector_spec(
 
     return ObservationSpec(
         tuple(
-            ObservationPart(name, part.shape[1:], "float32", role(name))
+            ObservationPart(name, tuple(part.shape[1:]), "float32", role(name))
             for name, part in parts.items()
         )
     )

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from manip.arrays import constant
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures
 from manip.sim.scene import Scene
@@ -37,7 +38,7 @@ def observe_arm(m: Measures, centre: Array) -> dict[str, Array]:
         "joint_vel": 0.3 * m["joint_vel"],
         "gripper_qpos": 10.0 * m["gripper_qpos"],
         "gripper_closing": m["gripper_closing"][:, None],
-        "eef_pos": 4.0 * (m["eef_pos"] - centre),
+        "eef_pos": 4.0 * (m["eef_pos"] - constant(centre, m["eef_pos"])),
     }
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from manip.arrays import constant, namespace
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Waypoint
 from manip.rewards.kernels import ramp
@@ -64,7 +65,7 @@ def measure_cube(read: Measures) -> dict[str, Array]:
     from 1 to 0 as the tool slips off the cube's centre.
     """
     to_cube = read["cube_pos"] - read["eef_pos"]
-    distance = np.linalg.norm(to_cube, axis=1)
+    distance = namespace(to_cube).linalg.norm(to_cube, axis=1)
     grasped = both_pads_touch(read)
     return {
         **read,
@@ -91,9 +92,10 @@ def yaw_to_cube(m: Measures) -> Array:
 
     For a hand that is wider than the cube: to its nearest pair of edges.
     """
+    yaw = yaw_angle(rotation_matrix(m["cube_quat"]))
     edge = np.where(m["gripper_narrowest"] > CUBE_WIDTH, np.pi / 4, 0.0)
-    error = yaw_angle(rotation_matrix(m["cube_quat"])) + edge - yaw_angle(m["eef_mat"])
-    return error - np.pi / 2 * np.round(error / (np.pi / 2))
+    error = yaw + constant(edge, yaw) - yaw_angle(m["eef_mat"])
+    return error - np.pi / 2 * namespace(error).round(error / (np.pi / 2))
 
 
 def observe_cube(m: Measures) -> dict[str, Array]:
@@ -101,14 +103,15 @@ def observe_cube(m: Measures) -> dict[str, Array]:
 
     A hand that must align also observes four times its yaw to the cube.
     """
+    xp, position = namespace(m["cube_pos"]), m["cube_pos"]
     turn = {"turn": cos_sin(4 * yaw_to_cube(m))} if must_align(m) else {}
     return {
         **observe_arm(m, CENTRE),
-        "cube_pos": 4.0 * (m["cube_pos"] - TABLE),
+        "cube_pos": 4.0 * (position - constant(TABLE, position)),
         "cube_quat": m["cube_quat"],
-        "to_cube": np.clip(10.0 * m["to_cube"], -5.0, 5.0),
+        "to_cube": xp.clip(10.0 * m["to_cube"], -5.0, 5.0),
         "cube_linvel": m["cube_linvel"],
-        "touch": np.stack([m["left_touch"], m["right_touch"]], axis=1),
+        "touch": xp.stack([m["left_touch"], m["right_touch"]], axis=1),
         **turn,
     }
 

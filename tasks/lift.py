@@ -22,6 +22,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from manip.arrays import floats
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, ramp
@@ -58,6 +59,7 @@ class Lift(Task):
     """Raise the cube; see the module's docstring for the numbers."""
 
     robosuite_name = "Lift"
+    takes_tensors = True
     sensors = Sensors(bodies=CUBE_BODY, touches=PAD_TOUCHES)
     horizon = 100
     milestone_names = ("near", "grasp", "lift")
@@ -93,7 +95,7 @@ class Lift(Task):
             return {
                 "reach": pending * near(m["distance"], 0.1),
                 "grasp": pending * m["grasped"],
-                "lift": self.success(m).astype(float),
+                "lift": floats(self.success(m)),
             }
         return {
             "reach": near(m["distance"], 0.2),

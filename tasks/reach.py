@@ -15,6 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from manip.arrays import constant, namespace
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import near, tolerance
@@ -31,6 +32,7 @@ class Reach(Task):
     """Bring the tool to the goal; see the module's docstring for the numbers."""
 
     robosuite_name = "Reach"
+    takes_tensors = True
     sensors = Sensors(
         sites={"goal": "goal"}, fields={"goal_place": ("site_pos", "goal")}
     )
@@ -52,22 +54,24 @@ class Reach(Task):
         return {
             **read,
             "to_goal": to_goal,
-            "distance": np.linalg.norm(to_goal, axis=1),
+            "distance": namespace(to_goal).linalg.norm(to_goal, axis=1),
         }
 
     def observe(self, m: Measures) -> dict[str, Array]:
         """The arm, then the goal: position, and offset from the tool."""
         centre = (GOAL_LOW + GOAL_HIGH) / 2
+        goal, to_goal = m["goal_pos"], m["to_goal"]
         return {
             **observe_arm(m, centre),
-            "goal_pos": 4.0 * (m["goal_pos"] - centre),
-            "to_goal": np.clip(10.0 * m["to_goal"], -5.0, 5.0),
+            "goal_pos": 4.0 * (goal - constant(centre, goal)),
+            "to_goal": namespace(to_goal).clip(10.0 * to_goal, -5.0, 5.0),
         }
 
     def reward_terms(self, m: Measures, reward: str) -> dict[str, Array]:
         """Terms of the shaped or the stock reward."""
         if reward == "stock":
-            return {"reach": np.where(self.success(m), 1.0, near(m["distance"], 0.1))}
+            xp, close = namespace(m["distance"]), near(m["distance"], 0.1)
+            return {"reach": xp.where(self.success(m), 1.0, close)}
         return {
             "near": near(m["distance"], 0.2),
             "at_goal": tolerance(m["distance"], 0.0, 0.01, margin=0.08),

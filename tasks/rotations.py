@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from manip.arrays import namespace
+
 Array = np.ndarray
 
 
@@ -29,12 +31,13 @@ def tool_rotation(yaw: Array, tilt: Array) -> Array:
 
 def yaw_angle(matrix: Array) -> Array:
     """[n] rad: the angle about the vertical of the x axis of matrices [n, 9]."""
-    return np.arctan2(matrix[:, 3], matrix[:, 0])
+    return namespace(matrix).arctan2(matrix[:, 3], matrix[:, 0])
 
 
 def cos_sin(angle: Array) -> Array:
     """[n, 2]: cosine and sine of `angle` [n] rad, continuous where angles jump."""
-    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    xp = namespace(angle)
+    return xp.stack([xp.cos(angle), xp.sin(angle)], axis=1)
 
 
 def rotation_matrix(quat: Array) -> Array:
@@ -45,4 +48,4 @@ def rotation_matrix(quat: Array) -> Array:
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
         (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
-    return np.stack([entry for row in rows for entry in row], axis=1)
+    return namespace(quat).stack([entry for row in rows for entry in row], axis=1)

@@ -13,6 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from manip.arrays import constant, floats, namespace
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Measures, Start, Task, Weights
 from manip.rewards.kernels import ramp
@@ -52,6 +53,7 @@ class Stack(Task):
     """Put A on B; see the module's docstring for the numbers."""
 
     robosuite_name = "Stack"
+    takes_tensors = True
     proprioception = (*ARM_PARTS, *TOOL_PARTS)
     sensors = Sensors(
         bodies={"a": "cubeA_main", "b": "cubeB_main"},
@@ -86,14 +88,15 @@ class Stack(Task):
         B on the table.
         """
         to_a, from_b = read["a_pos"] - read["eef_pos"], read["a_pos"] - read["b_pos"]
-        distance = np.linalg.norm(to_a, axis=1)
+        xp = namespace(to_a)
+        distance = xp.linalg.norm(to_a, axis=1)
         grasped = both_pads_touch(read)
         m = {
             **read,
             "to_a": to_a,
             "distance": distance,
             "from_b": from_b,
-            "aside": np.linalg.norm(from_b[:, :2], axis=1),
+            "aside": xp.linalg.norm(from_b[:, :2], axis=1),
             "height": read["a_pos"][:, 2] - TABLE[2],
             "grasped": grasped,
             "grasp_quality": grasped * ramp(-distance, -GRASP_FAR, -GRASP_NEAR),
@@ -102,21 +105,23 @@ class Stack(Task):
 
     def observe(self, m: Measures) -> dict[str, Array]:
         """The arm and the tool, then the cubes, coarse and fine."""
-        a = rotation_matrix(m["a_quat"])
-        above = m["from_b"] - [0.0, 0.0, STACKED]
+        xp, a = namespace(m["a_quat"]), rotation_matrix(m["a_quat"])
+        above = m["from_b"] - constant([0.0, 0.0, STACKED], m["from_b"])
+        table = constant(TABLE, m["b_pos"])
+        half = constant([0.0, 0.0, HALF["cubeB"]], m["b_pos"])
         return {
             **observe_arm_and_tool(m, CENTRE),
-            "to_a": 10.0 * np.clip(m["to_a"], -0.3, 0.3),
-            "from_b": 10.0 * np.clip(m["from_b"], -0.3, 0.3),
-            "b_pos": 4.0 * (m["b_pos"] - TABLE - [0.0, 0.0, HALF["cubeB"]]),
-            "to_a_fine": 50.0 * np.clip(m["to_a"], -0.02, 0.02),
-            "above_fine": 50.0 * np.clip(above, -0.02, 0.02),
+            "to_a": 10.0 * xp.clip(m["to_a"], -0.3, 0.3),
+            "from_b": 10.0 * xp.clip(m["from_b"], -0.3, 0.3),
+            "b_pos": 4.0 * (m["b_pos"] - table - half),
+            "to_a_fine": 50.0 * xp.clip(m["to_a"], -0.02, 0.02),
+            "above_fine": 50.0 * xp.clip(above, -0.02, 0.02),
             "turn": cos_sin(4.0 * (yaw_angle(a) - yaw_angle(m["eef_mat"]))),
             "upright": a[:, 6:],
             "a_linvel": m["a_linvel"],
             "a_angvel": 0.2 * m["a_angvel"],
-            "touch": np.stack([m[name] for name in self.sensors.touches], axis=1),
-            "on": m["on"][:, None].astype(float),
+            "touch": xp.stack([m[name] for name in self.sensors.touches], axis=1),
+            "on": floats(m["on"][:, None]),
         }
 
     def reward_terms(self, m: Measures, reward: str) -> dict[str, Array]:
@@ -158,6 +163,6 @@ class Stack(Task):
 
 def _rests_on_b(m: Measures) -> Array:
     """[N] bool: A touches B and lies flat on it, and B on the table, each to 5 mm."""
-    flat = np.abs(m["from_b"][:, 2] - STACKED) < 0.005
-    b_down = np.abs(m["b_pos"][:, 2] - TABLE[2] - HALF["cubeB"]) < 0.005
+    flat = abs(m["from_b"][:, 2] - STACKED) < 0.005
+    b_down = abs(m["b_pos"][:, 2] - TABLE[2] - HALF["cubeB"]) < 0.005
     return (m["cubes_touch"] > 0) & flat & b_down & (m["aside"] < 0.03)

@@ -22,6 +22,7 @@ and knocked it down.
 
 import numpy as np
 
+from manip.arrays import floats, namespace
 from manip.envs.task import Measures, Weights
 from manip.rewards.kernels import near, ramp
 
@@ -60,17 +61,17 @@ WEIGHTS: Weights = {
 
 def shaped_terms(m: Measures, success: Array) -> dict[str, Array]:
     """Terms [N] of the shaped reward; see the module's docstring."""
-    on, grasp = m["on"], m["grasp_quality"]
+    on, grasp, xp = m["on"], m["grasp_quality"], namespace(m["on"])
     lift = grasp * ramp(m["height"] - HALF["cubeA"], 0.0, 0.05)
     return {
-        "reach": np.maximum(on, near(m["distance"], 0.2)),
-        "grasp": np.maximum(on, grasp * ramp(m["gripper_closing"], -1.0, 1.0)),
-        "lift": np.maximum(on, lift),
-        "align": np.maximum(on, lift * near(m["aside"], 1 / 6)),
-        "lower": np.maximum(on, grasp * _lowered(m)),
-        "on": on.astype(float),
+        "reach": xp.maximum(on, near(m["distance"], 0.2)),
+        "grasp": xp.maximum(on, grasp * ramp(m["gripper_closing"], -1.0, 1.0)),
+        "lift": xp.maximum(on, lift),
+        "align": xp.maximum(on, lift * near(m["aside"], 1 / 6)),
+        "lower": xp.maximum(on, grasp * _lowered(m)),
+        "on": floats(on),
         "open": on * ramp(-m["gripper_closing"], -1.0, 1.0),
-        "release": on * success.astype(float),
+        "release": on * floats(success),
         "clear": on * success * ramp(m["distance"], 0.0, CLEAR),
     }
 
@@ -88,9 +89,9 @@ def stock_terms(m: Measures, success: Array) -> dict[str, Array]:
     return {
         "reach": ~lifted * near(m["distance"], 0.1),
         "grasp": ~lifted * m["grasped"],
-        "lift": (lifted & ~success).astype(float),
+        "lift": floats(lifted & ~success),
         "align": (lifted & ~success) * near(m["aside"], 1.0),
-        "stack": success.astype(float),
+        "stack": floats(success),
     }
 
 

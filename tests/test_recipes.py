@@ -13,7 +13,7 @@ from manip.envs.task_registry import load_task, task_names
 from manip.errors import UserError
 from manip.programs import train
 from manip.training.build import build_agent, evaluation_env, training_envs
-from manip.training.config import from_dict, to_dict
+from manip.training.config import TrainConfig, from_dict, to_dict
 from manip.training.recipes import (
     recipe,
     recipe_choice,
@@ -21,6 +21,8 @@ from manip.training.recipes import (
     recipes,
     with_labels,
 )
+
+ENGINES = ("native", "warp")
 
 
 def test_every_recipe_loads_for_the_task_and_algorithm_it_is_named_after() -> None:
@@ -145,3 +147,27 @@ def test_options_for_labels_may_be_of_a_task() -> None:
     assert push.labels.clip_steps > lift.labels.clip_steps
     assert push.horizon == 100
     assert push.agent.target_kl == lift.agent.target_kl
+
+
+def updates(config: TrainConfig) -> float:
+    rollout = config.num_envs * config.agent.rollout_length
+    return config.steps * getattr(config.agent, "updates_per_step", 1 / rollout)
+
+
+@pytest.mark.parametrize("algo", ["ppo", "sac"])
+def test_on_a_gpu_a_recipe_has_more_environments_and_as_many_updates(algo) -> None:
+    words = ["--task", "Lift", "--algo", algo]
+    usual, on_gpu = (train.config_of([*words, "--engine", e]) for e in ENGINES)
+    assert (on_gpu.num_envs, usual.num_envs < 4096) == (4096, True)
+    assert updates(on_gpu) == pytest.approx(updates(usual))
+    assert on_gpu.steps / on_gpu.eval_every == usual.steps / usual.eval_every
+    few = train.config_of([*words, "--engine", "warp", "--num-envs", "64"])
+    assert few == replace(on_gpu, num_envs=64)
+    cpu = train.config_of([*words, "--engine", "warp", "--device", "cpu"])
+    assert replace(cpu, engine="native", device=None) == usual
+
+
+def test_on_a_gpu_other_algorithms_keep_their_recipes() -> None:
+    words = ["--task", "Reach", "--algo", "td3"]
+    usual, on_gpu = (train.config_of([*words, "--engine", e]) for e in ENGINES)
+    assert on_gpu == replace(usual, engine="warp")

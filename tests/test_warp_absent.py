@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -12,6 +13,7 @@ from manip.programs import train as train_program
 from manip.sim.warp.library import check_library
 from manip.sim.warp.sizes import MEASURED, UNKNOWN, Sizes, check_demand, with_head_room
 from manip.training.build import training_envs
+from manip.training.placement import learner_device, placement_notes
 from manip.training.recipes import recipe
 
 
@@ -64,6 +66,44 @@ def test_without_a_gpu_the_error_names_the_other_ways(monkeypatch) -> None:
     check_library("cpu")
     with pytest.raises(UserError, match=r"unknown device 'gpu'.*cpu, cuda"):
         check_library("gpu")
+
+
+class WithGpu(NoGpu):
+    @staticmethod
+    def is_cuda_available() -> bool:
+        return True
+
+
+def test_the_learner_needs_a_torch_with_cuda(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "warp", WithGpu)
+    monkeypatch.setitem(sys.modules, "mujoco_warp", object())
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    config = replace(recipe("Reach", "ppo"), engine="warp")
+    with pytest.raises(UserError, match=r"this torch finds no CUDA.*--device cpu"):
+        learner_device(config)
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    assert learner_device(config).type == "cuda"
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({}, ""),
+        ({"observe": "cameras"}, "images are drawn on the host"),
+        ({"preferences": Path("clips")}, "clips are compared on the host"),
+    ],
+)
+def test_a_run_says_where_it_learns(changes, reason: str) -> None:
+    on_cpu = replace(recipe("Reach", "sac"), engine="warp", device="cpu", **changes)
+    assert learner_device(on_cpu).type == "cpu"
+    assert [*placement_notes(on_cpu)] == []
+    (note,) = placement_notes(replace(on_cpu, device=None))
+    assert note.endswith(reason or "gradients: TorchRL's losses")
+
+
+def test_other_algorithms_learn_on_the_cpu() -> None:
+    (note,) = placement_notes(replace(recipe("Reach", "td3"), engine="warp"))
+    assert "learner on the CPU: td3 takes no other device" in note
 
 
 def test_options_of_warp_need_the_engine() -> None:

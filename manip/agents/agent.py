@@ -79,6 +79,8 @@ class Agent(ABC):
             if it imitates, else they are given to `add_demonstrations`.
         has_native_gradients: its constructor takes the keyword `gradients`, "native" or
             "torchrl"; others always learn through TorchRL's losses and autograd.
+        takes_device: its constructor takes the keyword `device`, on which it learns;
+            others learn on the CPU.
     """
 
     name: ClassVar[str]
@@ -90,6 +92,7 @@ class Agent(ABC):
     takes_datasets: ClassVar[bool] = False
     needs_preferences: ClassVar[bool] = False
     has_native_gradients: ClassVar[bool] = False
+    takes_device: ClassVar[bool] = False
 
     actor: Actor | BinnedActor | ImageActor
     rollout_length: int

@@ -21,14 +21,17 @@ class BoundedGaussian(nn.Module):
     Attributes:
         log_std: [A], log standard deviation of each dimension.
         observation_dim: D.
-        action_scale: [A], the actor's.
     """
 
     def __init__(self, actor: Actor) -> None:
         super().__init__()
         self.actor, self.observation_dim = actor, actor.observation_dim
-        self.action_scale = actor.action_scale
         self.log_std = nn.Parameter(torch.full_like(actor.action_scale, -0.5))
+
+    @property
+    def action_scale(self) -> Tensor:
+        """[A], the actor's."""
+        return self.actor.action_scale
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Return mean and standard deviation [..., A] for observations [..., D]."""

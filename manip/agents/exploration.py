@@ -47,26 +47,32 @@ class RolloutPolicy(TensorDictModuleBase):
         super().__init__()
         self.in_keys, self._inputs = [*inputs.keys], inputs
         self._actor, self._warm_up, self._bursts = deepcopy(actor), warm_up, bursts
-        self._explore, self._generator = explore, seeded_generator()
+        self._explore, self._device = explore, actor.action_scale.device
+        self._generator = seeded_generator(self._device)
         self._gripper: Tensor | None = None
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write `action` [N, A]."""
-        unit = self._draw(self._inputs.of(tensordict))
+        inputs = self._inputs.of(tensordict)
+        unit = self._draw(tuple(part.to(self._device) for part in inputs))
         if self._gripper is None:
             self._gripper = self._draw_bursts(len(unit))
         unit[:, -1] = self._gripper.where(self._gripper != 0, unit[:, -1])
-        return tensordict.set("action", self._actor.action_scale * unit)
+        action = self._actor.action_scale * unit
+        return tensordict.set("action", action.to(inputs[0].device))
 
     def _draw(self, inputs: tuple[Tensor, ...]) -> Tensor:
         if self._warm_up:
             shape = (len(inputs[0]), len(self._actor.action_scale))
-            return torch.rand(shape, generator=self._generator) * 2 - 1
+            return self._uniform(shape) * 2 - 1
         return self._explore(self._actor, inputs, self._generator)
 
     def _draw_bursts(self, num_envs: int) -> Tensor:
         """Draw the gripper's commands [N] for the rollout; 0 leaves it to the actor."""
-        unit = torch.rand(num_envs, generator=self._generator)
+        unit = self._uniform((num_envs,))
         command = torch.where(unit < self._bursts / 2, BURST, -BURST)
         return command * (unit < self._bursts)
+
+    def _uniform(self, shape: tuple[int, ...]) -> Tensor:
+        return torch.rand(shape, generator=self._generator, device=self._device)

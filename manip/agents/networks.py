@@ -265,6 +265,6 @@ def _scale(given: Sequence[float], action_dim: int) -> Tensor:
     return scale
 
 
-def seeded_generator() -> torch.Generator:
-    """Return a new random generator, seeded from torch's global one."""
-    return torch.Generator().manual_seed(int(torch.randint(2**62, ())))
+def seeded_generator(device: torch.device | str = "cpu") -> torch.Generator:
+    """Return a new random generator, seeded from torch's global one of the CPU."""
+    return torch.Generator(device).manual_seed(int(torch.randint(2**62, ())))

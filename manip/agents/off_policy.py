@@ -18,6 +18,7 @@ from torchrl.modules import ValueOperator
 from manip.agents.agent import Agent, AgentConfig, Spaces
 from manip.agents.networks import mlp
 from manip.agents.replay import ImageTransitions, Replay
+from manip.agents.trajectory import CPU
 from manip.agents.value_targets import check_steps
 from manip.io.option_ranges import COUNT, NUMBER, SHARE, WHOLE, Range
 from manip.rewards.reward_function import RewardFunction
@@ -60,20 +61,26 @@ class OffPolicy(Agent):
     """Store rollouts in a replay buffer, and learn from batches drawn from it.
 
     All rollouts must be of the same environments, in order of time.
+
+    Args:
+        device: where the buffers are.
     """
 
     off_policy = True
     image_copies = 2
 
-    def __init__(self, config: OffPolicyConfig, spaces: Spaces) -> None:
+    def __init__(
+        self, config: OffPolicyConfig, spaces: Spaces, device: torch.device = CPU
+    ) -> None:
         check_steps(config.n_step, config.rollout_length)
-        self._options, self._spaces = config, spaces
+        self._options, self._spaces, self._device = config, spaces, device
         self.rollout_length = config.rollout_length
         self._replay = Replay(
             config.buffer_size,
             spaces.observation_dim,
             spaces.action_dim,
             spaces.inputs.cameras,
+            device,
         )
         self._demonstrations: Replay | None = None
         self._steps = 0
@@ -123,8 +130,8 @@ class OffPolicy(Agent):
         al. 2023, arXiv 2302.02948).
         """
         size = sum(rollout.numel() for rollout in rollouts)
-        spaces = self._spaces
-        replay = Replay(size, spaces.observation_dim, spaces.action_dim)
+        sizes = self._spaces.observation_dim, self._spaces.action_dim
+        replay = Replay(size, *sizes, device=self._device)
         for rollout in rollouts:
             replay.add(rollout)
         self._demonstrations = replay
@@ -235,12 +242,13 @@ def transitions_of(rows: Tensor, observation_dim: int) -> TensorDict:
 
 
 def make_critics(
-    count: int, spaces: Spaces, hidden: Sequence[int]
+    count: int, spaces: Spaces, hidden: Sequence[int], device: torch.device = CPU
 ) -> ValueOperator | list[ValueOperator]:
     """Build critics Q(s, a); a list unless it is one (torchrl 0.14 needs it so)."""
     inputs, keys = spaces.observation_dim + spaces.action_dim, ["observation", "action"]
     critics = [
-        ValueOperator(Critic(inputs, hidden), in_keys=keys) for _ in range(count)
+        ValueOperator(Critic(inputs, hidden).to(device), in_keys=keys)
+        for _ in range(count)
     ]
     return critics if count > 1 else critics[0]
 

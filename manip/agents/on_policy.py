@@ -25,6 +25,7 @@ from manip.agents.networks import (
     orthogonal,
     seeded_generator,
 )
+from manip.agents.trajectory import CPU, placed
 from manip.agents.value_targets import add_values
 from manip.io.option_ranges import COUNT, NUMBER, POSITIVE, SHARE, WHOLE
 
@@ -59,16 +60,19 @@ class RolloutPolicy(TensorDictModuleBase):
 
     def __init__(self, actor: Actor | BoundedGaussian) -> None:
         super().__init__()
-        self._actor, self._generator = deepcopy(actor), seeded_generator()
+        self._actor, self._device = deepcopy(actor), actor.action_scale.device
+        self._generator = seeded_generator(self._device)
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write `action` [N, A] and `action_log_prob` [N]."""
-        loc, scale = self._actor(tensordict["observation"])
-        noise = torch.randn(loc.shape, generator=self._generator)
+        observation = tensordict["observation"]
+        loc, scale = self._actor(observation.to(self._device))
+        noise = torch.randn(loc.shape, generator=self._generator, device=loc.device)
         action = loc + scale * noise
         log_prob = IndependentNormal(loc, scale).log_prob(action)
-        return tensordict.set("action_log_prob", log_prob).set("action", action)
+        tensordict.set("action_log_prob", log_prob.to(observation.device))
+        return tensordict.set("action", action.to(observation.device))
 
 
 class OnPolicy(Agent):
@@ -77,17 +81,23 @@ class OnPolicy(Agent):
     A Gaussian actor, a critic, and one Adam for one flat parameter that holds those of
     the actor's network, its log standard deviations, and the critic's, in this order.
 
+    Args:
+        device: where networks, optimiser and updates are.
+
     Attributes:
         gaussian: distribution of the actions: the actor, or around a bounded actor.
     """
 
     actor: Actor
 
-    def __init__(self, config: OnPolicyConfig, spaces: Spaces) -> None:
-        self.rollout_length = config.rollout_length
+    def __init__(
+        self, config: OnPolicyConfig, spaces: Spaces, device: torch.device = CPU
+    ) -> None:
+        self.rollout_length, self._device = config.rollout_length, device
         self._critic_rollouts, self._rollouts = config.critic_rollouts, 0
         self.actor, self.gaussian = make_gaussian(config, spaces)
-        self.critic = _critic(config, spaces, self.actor.norm)
+        self.gaussian.to(device)
+        self.critic = _critic(config, spaces, self.actor.norm).to(device)
         self.stochastic = ProbabilisticActor(
             TensorDictModule(self.gaussian, ["observation"], ["loc", "scale"]),
             in_keys=["loc", "scale"],
@@ -109,6 +119,7 @@ class OnPolicy(Agent):
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Add the critic's values to the rollout [N, T] and learn from it."""
+        batch = placed(batch, self._device)
         logged = self._learn(add_values(batch, self.critic))
         self._finish(batch["observation"])
         return logged
@@ -203,7 +214,7 @@ def losses(output: TensorDictBase) -> dict[str, Any]:
 
 def minibatches(samples: Samples, count: int) -> Sequence[Samples]:
     """Shuffle samples [B] and split them into `count` minibatches."""
-    shuffled = samples[torch.randperm(len(samples))]
+    shuffled = samples[torch.randperm(len(samples), device=samples.device)]
     return shuffled.split(-(-len(samples) // count))
 
 

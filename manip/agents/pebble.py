@@ -40,6 +40,7 @@ class PEBBLE(SAC):
     Config = PEBBLEConfig
     needs_preferences = True
     takes_datasets = False
+    takes_device = False
     config: PEBBLEConfig
 
     def __init__(

@@ -14,6 +14,7 @@ observation.
 from dataclasses import dataclass
 from typing import Annotated
 
+import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.objectives import ClipPPOLoss, PPOLoss
@@ -28,6 +29,7 @@ from manip.agents.native.ppo_gradients import (
     rows_of,
 )
 from manip.agents.on_policy import OnPolicy, OnPolicyConfig, minibatches
+from manip.agents.trajectory import CPU
 from manip.io.option_ranges import COUNT, NUMBER, POSITIVE, SHARE
 
 
@@ -53,12 +55,15 @@ class PPO(OnPolicy):
     """PPO; see the module's docstring.
 
     Args:
-        gradients: native code, checked against (Clip)PPOLoss, or this and autograd.
+        gradients: native code, checked against (Clip)PPOLoss, or this and autograd,
+            which is the only one on other devices than the CPU.
+        device: where networks, rollouts and updates are.
     """
 
     name = "ppo"
     Config = PPOConfig
     has_native_gradients = True
+    takes_device = True
 
     def __init__(
         self,
@@ -66,10 +71,12 @@ class PPO(OnPolicy):
         spaces: Spaces,
         threads: int = 1,
         gradients: GradientSource = "native",
+        device: torch.device = CPU,
     ) -> None:
         self.config = config
-        super().__init__(config, spaces)
-        self._gae = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None)
+        super().__init__(config, spaces, device)
+        gae = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None)
+        self._gae = gae.to(device)
         self._gradients = gradients_of(
             self._loss, self.gaussian, self.critic, self._params, threads, gradients
         )

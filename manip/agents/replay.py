@@ -28,7 +28,7 @@ from manip.agents.replay_columns import (
     image_after,
     image_before,
 )
-from manip.agents.trajectory import episode_starts, numbers_after
+from manip.agents.trajectory import CPU, episode_starts, numbers_after, placed
 from manip.errors import UserError
 from manip.observation import ObservationPart
 from manip.rewards.reward_function import RewardFunction
@@ -62,6 +62,7 @@ class Replay:
         observation_dim: O.
         action_dim: A.
         cameras: parts of the observation that are images.
+        device: where the columns are.
 
     Attributes:
         cameras: their names.
@@ -76,13 +77,14 @@ class Replay:
         observation_dim: int,
         action_dim: int,
         cameras: Sequence[ObservationPart] = (),
+        device: torch.device = CPU,
     ) -> None:
-        self.capacity = capacity
+        self.capacity, self._device = capacity, device
         self._widths = observation_dim, action_dim
         self.cameras = tuple(camera.name for camera in cameras)
-        self._columns = allocate(capacity, observation_dim, action_dim, cameras)
+        self._columns = allocate(capacity, *self._widths, cameras, device)
         self._size = self._cursor = self._episodes = 0
-        self._current = torch.empty(0, dtype=torch.int64)
+        self._current = torch.empty(0, dtype=torch.int64, device=device)
 
     def __len__(self) -> int:
         """Number of steps stored."""
@@ -100,8 +102,10 @@ class Replay:
                 f"buffer_size is {self.capacity}, but a rollout has {count} steps: set "
                 f"agent.buffer_size to {count} or more"
             )
+        batch = placed(batch, self._device)
         self._prepare(batch)
-        rows = (torch.arange(count) + self._cursor) % self.capacity
+        numbers = torch.arange(count, device=self._device)
+        rows = (numbers + self._cursor) % self.capacity
         ended = batch["next", "done"].squeeze(-1)
         self._write(rows, batch, self._number_episodes(ended))
         self._link(rows.view(batch.shape), ended)
@@ -110,7 +114,7 @@ class Replay:
 
     def draw(self, count: int) -> Tensor:
         """Draw the numbers of stored rows uniformly, with replacement."""
-        return torch.randint(self._size, (count,))
+        return torch.randint(self._size, (count,), device=self._device)
 
     def transitions(self, rows: Tensor, n: int, gamma: float) -> Tensor:
         """Form the transitions of up to n steps that begin at the given rows.
@@ -135,7 +139,8 @@ class Replay:
     def _transitions(self, rows: Tensor, n: int, gamma: float) -> tuple[Tensor, Tensor]:
         """Transitions [B, ...], and the row [B] of each one's last step."""
         take = self._take
-        last, total, steps = rows, take("reward", rows), torch.ones(len(rows))
+        last, total = rows, take("reward", rows)
+        steps = torch.ones_like(total)
         for k in range(1, n):
             following = take("link", last)
             goes_on = following != NONE
@@ -213,21 +218,22 @@ class Replay:
         for name, column in (stored or {}).items():
             self._columns[name][:size] = column
         self._size, self._cursor = size, state["cursor"]
-        self._current = state["current"].clone()
+        self._current = state["current"].clone().to(self._device)
         self._episodes = state["episodes"]
 
     def _prepare(self, batch: TensorDictBase) -> None:
         """Make room for optional numbers; begin anew with other environments."""
         self._fit_widths({n: numbers_after(batch, key) for n, key in OPTIONAL.items()})
         if len(self._current) != len(batch):
-            self._current = torch.full((len(batch),), NONE)
+            self._current = torch.full((len(batch),), NONE, device=self._device)
 
     def _fit_widths(self, numbers: Mapping[str, Tensor]) -> None:
         """Give the optional columns the widths of numbers [..., K], while empty."""
         for name, values in numbers.items():
             width = values.shape[-1]
             if width != self._columns[name].shape[-1] and not self._size:
-                self._columns[name] = torch.zeros(self.capacity, width)
+                shape = self.capacity, width
+                self._columns[name] = torch.zeros(shape, device=self._device)
 
     def _number_episodes(self, ended: Tensor) -> Tensor:
         """Number the episodes of [N, T] steps; `_current` [N] is advanced past them."""
@@ -240,14 +246,14 @@ class Replay:
 
     def _write(self, rows: Tensor, batch: TensorDictBase, episode: Tensor) -> None:
         following = batch["next"]
-        env = torch.arange(len(batch), dtype=torch.int32)[:, None].expand(batch.shape)
+        env = torch.arange(len(batch), dtype=torch.int32, device=self._device)
         values = {
             "before": torch.cat([batch["observation"], batch["action"]], -1),
             "after": following["observation"],
             "reward": following["reward"].squeeze(-1),
             "terminated": following["terminated"].squeeze(-1),
             "ended": following["done"].squeeze(-1),
-            "env": env,
+            "env": env[:, None].expand(batch.shape),
             "episode": episode,
             **{image_before(name): batch[name] for name in self.cameras},
             **{image_after(name): following[name] for name in self.cameras},

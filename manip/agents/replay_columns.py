@@ -45,7 +45,11 @@ def row_bytes(
 
 
 def allocate(
-    capacity: int, observations: int, actions: int, cameras: Sequence[ObservationPart]
+    capacity: int,
+    observations: int,
+    actions: int,
+    cameras: Sequence[ObservationPart],
+    device: torch.device,
 ) -> dict[str, Tensor]:
     """Allocate the columns of a buffer; see `manip.agents.replay.Replay`.
 
@@ -53,7 +57,7 @@ def allocate(
         UserError: there is not enough memory.
     """
     try:
-        return {
+        columns = {
             "before": _zeros(np.float32, capacity, observations + actions),
             "after": _zeros(np.float32, capacity, observations),
             "reward": _zeros(np.float32, capacity),
@@ -69,6 +73,7 @@ def allocate(
                 for name in (image_before, image_after)
             },
         }
+        return {name: column.to(device) for name, column in columns.items()}
     except (RuntimeError, MemoryError) as error:  # torch's allocator, numpy's
         size = capacity * row_bytes(observations, actions, cameras) / 2**30
         raise UserError(

@@ -38,6 +38,7 @@ from manip.agents.native.gradient_check import GradientSource
 from manip.agents.native.sac_gradients import Gradients, flatten_loss, sac_gradients
 from manip.agents.networks import Actor
 from manip.agents.off_policy import OffPolicy, OffPolicyConfig, make_critics
+from manip.agents.trajectory import CPU
 from manip.io.option_ranges import COUNT, NUMBER, POSITIVE, SHARE, SIGNED, WHOLE
 
 AnyActor = Actor | ImageActor
@@ -75,12 +76,15 @@ class SAC(OffPolicy):
     """SAC; see the module's docstring.
 
     Args:
-        gradients: native code, checked against SACLoss, or SACLoss and autograd.
+        gradients: native code, checked against SACLoss, or SACLoss and autograd, which
+            is the only one on other devices than the CPU.
+        device: where networks, replay buffer and updates are.
     """
 
     name = "sac"
     Config = SACConfig
     has_native_gradients = True
+    takes_device = True
     sees_images = True
     takes_datasets = True
     actor: AnyActor
@@ -91,8 +95,9 @@ class SAC(OffPolicy):
         spaces: Spaces,
         threads: int = 1,
         gradients: GradientSource = "native",
+        device: torch.device = CPU,
     ) -> None:
-        super().__init__(config, spaces)
+        super().__init__(config, spaces, device)
         self.config = config
         self.explorer = make_actor(
             spaces,
@@ -101,7 +106,7 @@ class SAC(OffPolicy):
             squash=True,
             normalise=False,
             action_scale=config.action_scale,
-        )
+        ).to(device)
         self.actor = deepcopy(self.explorer)
         self._kickstart = _kickstart(config, self.explorer)
         self._deployed = flatten([*self.actor.parameters()]).data
@@ -179,7 +184,8 @@ def _kickstart(config: SACConfig, actor: AnyActor) -> Kickstart | None:
 
 def _sample(actor: AnyActor, inputs: tuple[Tensor, ...], draw: Generator) -> Tensor:
     loc, scale = actor(*inputs)
-    return (loc + scale * torch.randn(loc.shape, generator=draw)).tanh()
+    noise = torch.randn(loc.shape, generator=draw, device=loc.device)
+    return (loc + scale * noise).tanh()
 
 
 def _loss(config: SACConfig, spaces: Spaces, actor: AnyActor) -> SACLoss:
@@ -195,7 +201,9 @@ def _loss(config: SACConfig, spaces: Spaces, actor: AnyActor) -> SACLoss:
     )
     loss = SACLoss(
         stochastic,
-        make_critics(config.critics, spaces, config.critic_hidden),
+        make_critics(
+            config.critics, spaces, config.critic_hidden, actor.action_scale.device
+        ),
         num_qvalue_nets=config.critics,
         loss_function="l2",
         alpha_init=config.initial_alpha,

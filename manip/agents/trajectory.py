@@ -26,6 +26,13 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+CPU = torch.device("cpu")
+
+
+def placed(batch: TensorDictBase, device: torch.device) -> TensorDictBase:
+    """A rollout on a device; the same object if it is there already."""
+    return batch if batch["observation"].device == device else batch.to(device)
+
 
 def episode_starts(ended: Tensor, fresh: Tensor) -> Tensor:
     """Mark the first steps of episodes.

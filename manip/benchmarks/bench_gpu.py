@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from manip.arrays import on_host
 from manip.benchmarks.engine_steps import scene_of
 from manip.benchmarks.rounds import Candidate, Comparison, speed
 from manip.envs.make_batch import make_batch
@@ -61,23 +62,35 @@ def _parts(
     from manip.sim.warp.warp_engine import WarpEngine
 
     steps = STEPS[settings.device]
+    host, device = (
+        _batch(settings, scene, num_envs, tensors) for tensors in (False, True)
+    )
+    engine = WarpEngine(scene, num_envs, sizes_of(scene, None, None), settings.device)
+    actions = np.zeros((num_envs, host.action_dim))
+    parts = {
+        "physics": speed(_repeated(bare_steps(engine), steps, num_envs)),
+        "engine": speed(_repeated(lambda: engine.step(actions), steps, num_envs)),
+        "task": speed(_task_steps(host, steps)),
+    }
+    if device.gives_tensors:
+        parts["task on the device"] = speed(_task_steps(device, steps))
+    return parts, engine.device_bytes_per_env
+
+
+def _batch(
+    settings: GpuSettings, scene: Scene, num_envs: int, tensors: bool
+) -> TaskBatch:
     batch = make_batch(
         settings.task,
         num_envs,
         backend="warp",
         device=settings.device,
+        tensors=tensors,
         scene=scene,
         fidelity=settings.fidelity,
     )
     batch.begin(np.arange(num_envs))
-    engine = WarpEngine(scene, num_envs, sizes_of(scene, None, None), settings.device)
-    actions = np.zeros((num_envs, batch.action_dim))
-    parts = {
-        "physics": speed(_repeated(bare_steps(engine), steps, num_envs)),
-        "engine": speed(_repeated(lambda: engine.step(actions), steps, num_envs)),
-        "task": speed(_task_steps(batch, steps)),
-    }
-    return parts, engine.device_bytes_per_env
+    return batch
 
 
 def _repeated(
@@ -99,7 +112,7 @@ def _task_steps(batch: TaskBatch, steps: int) -> Callable[[], int]:
     def run() -> int:
         for _ in range(steps):
             step = batch.step(generator.uniform(-1, 1, shape))
-            batch.begin(np.flatnonzero(step.terminated | step.truncated))
+            batch.begin(np.flatnonzero(on_host(step.done)))
         return steps * batch.num_envs
 
     return run

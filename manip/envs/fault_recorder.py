@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from manip.envs.faults import Fault
+from manip.envs.faults import Fault, non_finite
 from manip.envs.task import Task
+from manip.envs.task_outputs import TaskOutputs
 from manip.errors import UserError
 
 Array = np.ndarray
@@ -41,6 +42,14 @@ class FaultRecorder:
             what = ", ".join(name for name, where in kinds if where[env_id])
             clock = int(self.episode[env_id]), int(self.elapsed[env_id])
             self._add_fault(Fault(self.task.name, what, env_id, *clock))
+
+    def _record_outputs(self, outputs: TaskOutputs) -> None:
+        """Record the parts and terms of a step that are not finite."""
+        num_envs = len(self.elapsed)
+        self._record_faults(
+            non_finite("observation", outputs.parts, num_envs)
+            + non_finite("reward term", outputs.terms, num_envs)
+        )
 
     def _add_fault(self, fault: Fault) -> None:
         self.faults.append(fault)

@@ -5,6 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from manip.arrays import on_host
+
 Array = np.ndarray
 
 
@@ -44,7 +46,7 @@ def non_finite(
     """For each array [N] or [N, k]: "kind 'name'", and [N] bool where float32 fails."""
     with np.errstate(over="ignore"):
         finite = {
-            f"{kind} {name!r}": np.isfinite(np.asarray(values, np.float32))
+            f"{kind} {name!r}": np.isfinite(np.asarray(on_host(values), np.float32))
             for name, values in named.items()
         }
     return [

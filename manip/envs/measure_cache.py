@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from manip.arrays import is_tensor
 from manip.envs.task import Measures, Task
 
 Array = np.ndarray
@@ -43,8 +44,12 @@ class MeasureCache:
 
     @contextmanager
     def restarting(self, env_ids: Array) -> Iterator[None]:
-        """Measure only the environments that change inside the `with` block."""
+        """Measure only the environments that change inside the `with` block.
+
+        Tensors are measured anew as a whole, when they are needed.
+        """
         partial = self._version() == self._measured and len(env_ids) < self._num_envs
+        partial &= not any(map(is_tensor, self._measures.values()))
         yield
         if partial:
             rows = self._task.measure(rows_of(self._read(), env_ids, self._num_envs))

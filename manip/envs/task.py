@@ -10,6 +10,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from manip.arrays import namespace
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.hand_motion import motion_measures
 from manip.errors import UserError
@@ -70,6 +71,9 @@ class Task(ABC):
         proprioception: parts of the observation that a real arm measures by itself;
             all others describe objects.
         hand_reading: the reading [N, 3] m that is the position of the hand.
+        takes_tensors: `measure`, `observe`, `reward_terms`, `success`, `failure` and
+            `milestones` also compute with torch tensors (see manip.arrays), so that
+            MuJoCo Warp can evaluate them on its device.
     """
 
     robosuite_name: ClassVar[str]
@@ -83,6 +87,7 @@ class Task(ABC):
         *("gripper_qpos", "gripper_closing", "eef_pos"),
     )
     hand_reading: ClassVar[str] = "eef_pos"
+    takes_tensors: ClassVar[bool] = False
 
     @abstractmethod
     def sample_start(self, scene: Scene, streams: EpisodeStreams) -> Start:
@@ -146,7 +151,8 @@ class Task(ABC):
 
     def failure(self, m: Measures) -> Array:
         """[N] bool: the episode ends here, without a future (default: never)."""
-        return np.zeros(len(m["joint_pos"]), bool)
+        joint = m["joint_pos"][:, 0]
+        return namespace(joint).zeros_like(joint, dtype=bool)
 
     def expert(self, m: Measures) -> Array:
         """[N, A] OSC_POSE action in [-1, 1] that solves the task (default: an error).

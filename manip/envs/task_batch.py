@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from manip.arrays import all_on_host, constant, on_host
 from manip.cameras import check_cameras
 from manip.envs.episode_options import EpisodeOptions
 from manip.envs.episode_streams import check_purpose, check_seed
 from manip.envs.fault_recorder import FaultRecorder
-from manip.envs.faults import non_finite
 from manip.envs.image_stacks import ImageStacks
 from manip.envs.measure_cache import MeasureCache
 from manip.envs.option_checks import state_array
@@ -23,7 +23,7 @@ from manip.envs.reward_range import RewardRange
 from manip.envs.task import Measures, Task
 from manip.envs.task_check import check_memory, check_task
 from manip.envs.task_errors import blamed, exits_blamed
-from manip.envs.task_outputs import OutputForm, TaskOutputs, evaluate
+from manip.envs.task_outputs import OutputForm, evaluate
 from manip.envs.time_step import TimeStep
 from manip.envs.visible_measures import VisibleMeasures
 from manip.errors import UserError, at_least, check_choice
@@ -58,8 +58,11 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
         control_dt: control period [s].
         elapsed: [N] control steps since each episode began.
         episode: [N] number of each environment's episode; -1 before the first.
+        gives_tensors: arrays of `TimeStep`, and actions, are tensors on a device.
         faults, fault_count, stop_at_faults, dump_folder: see `FaultRecorder`.
     """
+
+    gives_tensors = False
 
     def __init__(
         self,
@@ -88,7 +91,7 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
             self.horizon = options.horizon or task.horizon
             overrides = options.reward_weights or {}
             self.reward_weights = override_weights(task.weights[reward], overrides)
-            self._cache = MeasureCache(task, num_envs, self.read, self._version)
+            self._cache = MeasureCache(task, num_envs, self._task_reads, self._version)
             outputs = evaluate(task, self._cache.get(), reward)
             self._visible = VisibleMeasures(
                 task, num_envs, self._cache.get, self.control_dt
@@ -112,6 +115,10 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
     @abstractmethod
     def read(self) -> Measures:
         """Current readings of all environments."""
+
+    def _task_reads(self) -> Measures:
+        """Current readings from which the task is evaluated."""
+        return self.read()
 
     def _version(self) -> object:
         """A value that changes with the state; by default a new one in every call."""
@@ -192,14 +199,15 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
         """Advance all environments by one control step.
 
         Args:
-            action: [N, A] in [-1, 1].
+            action: [N, A] in [-1, 1]; a torch tensor with `gives_tensors`.
 
         Raises:
             UserError: the action has another shape or holds no real numbers, or an
                 environment has not begun an episode.
         """
-        checked_actions(action, self.num_envs, self.action_dim)
-        action = np.asarray(action)
+        if not self.gives_tensors:
+            checked_actions(action, self.num_envs, self.action_dim)
+            action = np.asarray(action)
         if not self._begun.all():
             raise UserError("step() was called before reset(): begin an episode first")
         perturber = self._perturber
@@ -210,7 +218,7 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
         self.elapsed += 1
         self._image_stacks.append()
         if diverged.any():
-            no_number = diverged & np.isnan(action).any(axis=1)
+            no_number = diverged & np.isnan(on_host(action)).any(axis=1)
             self._record_faults(
                 [("action", no_number), ("physics", diverged & ~no_number)]
             )
@@ -233,6 +241,7 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
             time_step = self._time_step(never)
         if self._non_finite.all():
             raise UserError(f"{self.faults[-1]}, and so are all other environments")
+        never = constant(never, time_step.terminated)
         return time_step._replace(terminated=never, truncated=never)
 
     def measures(self) -> Array:
@@ -247,7 +256,7 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
             UserError: the task has none, or its action has a wrong shape.
         """
         with blamed(self.task):
-            action = self.task.expert(self._cache.get())
+            action = self.task.expert(all_on_host(self._cache.get()))
         if np.shape(action) != (self.num_envs, self.action_dim):
             raise UserError(
                 f"task {self.task.name!r}: expert(m) has shape {np.shape(action)}, not "
@@ -279,7 +288,7 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
             success=outputs.success,
             milestones=outputs.milestones,
             terminated=terminated,
-            truncated=over & ~terminated,
+            truncated=constant(over, terminated) & ~terminated,
             images=self._image_stacks.now,
         )
         finite = time_step.finite()
@@ -289,9 +298,3 @@ class TaskBatch(OptionalAbilities, FaultRecorder, ABC):
             time_step = time_step.cut_off(finite, self._last_observation)
         self._last_observation = time_step.observation
         return time_step
-
-    def _record_outputs(self, outputs: TaskOutputs) -> None:
-        self._record_faults(
-            non_finite("observation", outputs.parts, self.num_envs)
-            + non_finite("reward term", outputs.terms, self.num_envs)
-        )

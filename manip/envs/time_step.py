@@ -5,11 +5,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from manip.arrays import constant, namespace
+
 Array = np.ndarray
 
 
 class TimeStep(NamedTuple):
     """The state of N environments at one instant.
+
+    From a batch with `gives_tensors`, the arrays are torch tensors.
 
     Attributes:
         observation: [N, D] float32, the joined parts of `TaskBatch.observation_spec`.
@@ -39,24 +43,27 @@ class TimeStep(NamedTuple):
 
     def finite(self) -> Array:
         """[N] bool: reward and observation are finite."""
-        finite: Array = np.isfinite(self.reward)
-        return finite & np.isfinite(self.observation).all(axis=1)
+        xp = namespace(self.reward)
+        finite: Array = xp.isfinite(self.reward)
+        return finite & xp.isfinite(self.observation).all(axis=1)
 
     def cut_off(self, valid: Array, last_observation: Array) -> "TimeStep":
         """Truncate environments whose numbers are not valid [N] bool.
 
         They keep the observation that they had before, and earn nothing.
         """
+        xp = namespace(valid)
 
         def zeroed(named: Mapping[str, Array]) -> dict[str, Array]:
             return {
-                name: np.where(valid, values, 0).astype(values.dtype)
+                name: xp.where(valid, values, xp.zeros_like(values))
                 for name, values in named.items()
             }
 
+        last = constant(last_observation, self.observation)
         return TimeStep(
-            observation=np.where(valid[:, None], self.observation, last_observation),
-            reward=np.where(valid, self.reward, 0.0),
+            observation=xp.where(valid[:, None], self.observation, last),
+            reward=xp.where(valid, self.reward, 0.0),
             reward_terms=zeroed(self.reward_terms),
             success=self.success & valid,
             milestones=zeroed(self.milestones),

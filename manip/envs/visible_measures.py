@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from manip.arrays import all_on_host, on_host
 from manip.envs.hand_motion import HandMotion
 from manip.envs.option_checks import state_array
 from manip.envs.task import Measures, Task
@@ -76,9 +77,9 @@ class VisibleMeasures:
             rows[:] = state_array(state, "motion", rows)
 
     def _all(self) -> dict[str, Array]:
-        return {**self._measure(), **self._motion.readings()}
+        return {**all_on_host(self._measure()), **self._motion.readings()}
 
     def _position(self) -> Array:
         """[N, 3] m: the hand; 0 where the task's simulation does not give it."""
         still = np.zeros((len(self._motion.rows), 3))
-        return np.asarray(self._measure().get(self._task.hand_reading, still))
+        return np.asarray(on_host(self._measure().get(self._task.hand_reading, still)))

@@ -77,14 +77,16 @@ class EpisodeTracker:
 
     def update(self, after: TensorDictBase) -> list[Episode]:
         """Add the `next` entry [N] of a step; return the episodes that it ended."""
-        success, done = after["success"].squeeze(-1), after["done"].squeeze(-1)
+        success, done, reward = (
+            after[key].squeeze(-1).cpu() for key in ("success", "done", "reward")
+        )
         self._steps += 1
-        self._reward += after["reward"].squeeze(-1)
+        self._reward += reward
         self._streak = torch.where(success, self._streak + 1, 0)
         self._first = torch.where(
             success & (self._first == 0), self._steps, self._first
         )
-        self._add_milestones(after["milestones"])
+        self._add_milestones(after["milestones"].cpu())
         if self._penalty:
             penalties = self._penalty(after["measures"].numpy())
             self._penalties += torch.from_numpy(penalties)

@@ -2,6 +2,7 @@
 
 A tree (nested dicts and lists of tensors, arrays, numbers and strings) becomes one
 safetensors file with a checksum: tensors in the body, all else as JSON in the header.
+Tensors of any device are read as tensors of the CPU.
 """
 
 import json
@@ -59,7 +60,7 @@ def _flatten(node: Any, path: str, tensors: dict[str, torch.Tensor]) -> Any:
     """The tree with names in place of tensors, which go to `tensors`."""
     if isinstance(node, torch.Tensor):
         name = _unused(path, tensors)
-        tensors[name] = node.detach().contiguous().clone()
+        tensors[name] = node.detach().cpu().contiguous().clone()
         return {_TENSOR: name}
     if isinstance(node, np.ndarray):
         name = _unused(path, tensors)

@@ -21,9 +21,9 @@ from manip.sim.warp.library import Device
 class BenchmarkGpu:
     """Measure MuJoCo Warp: control steps per second and memory, for several N.
 
-    physics: mujoco_warp without control laws; engine: with control laws, guard and one
-    copy of the readings to the host; task: with rewards, observations and resets on the
-    host. Needs the extra gpu.
+    physics: mujoco_warp without control laws; engine: with control laws and guard;
+    task: with rewards, observations and resets on the host; task on the device: with
+    rewards and observations there, for tasks that can. Needs the extra gpu.
     """
 
     task: str = "Lift"

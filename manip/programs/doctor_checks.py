@@ -137,7 +137,7 @@ def check_torch() -> Check:
 
 
 def check_cuda() -> Check:
-    """torch is not built for a missing GPU; manip computes on the CPU."""
+    """torch is not built for a missing GPU; only `--engine warp` uses one."""
     ok, detail = _try(_CUDA)
     remedy = (
         "everything works, on the CPU; torch's build for the CPU needs gigabytes less "

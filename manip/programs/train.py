@@ -23,7 +23,8 @@ from manip.programs import cli
 from manip.robot_config import CONTROLLERS, ROBOTS
 from manip.training.config import TrainConfig, recorded
 from manip.training.initial_policy import observation_of, starting_from
-from manip.training.recipes import recipe, scales_other_actions, with_labels
+from manip.training.placement import learns_on_gpu
+from manip.training.recipes import for_gpu, recipe, scales_other_actions, with_labels
 from manip.training.run import train
 from manip.training.run_parts import Place, here
 from manip.training.terminal import TerminalProgress
@@ -69,6 +70,8 @@ class _Start:
     resume: bool = False
     init: str | None = None
     preferences: Path | None = None
+    engine: str = "native"
+    device: str | None = None
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -179,7 +182,11 @@ def _defaults(arguments: Sequence[str]) -> TrainConfig:
     config = recipe(*chosen, observe)
     if start.preferences is not None:
         config = with_labels(config, start.preferences)
-    return config if start.init is None else starting_from(config, start.init)
+    if start.init is not None:
+        config = starting_from(config, start.init)
+    on_gpu = start.engine == "warp" and start.device != "cpu"
+    there = replace(config, engine="warp" if on_gpu else "native")
+    return for_gpu(config) if learns_on_gpu(there) else config
 
 
 def _recorded(out: Path | None) -> TrainConfig:

@@ -1,10 +1,12 @@
 """Bounded reward kernels: numbers in [0, 1], each with a physical parameter.
 
-All take and return arrays of any shape and are computed elementwise.
+All take and return arrays of any shape, of numpy or torch, and are computed
+elementwise.
 """
 
 import numpy as np
 
+from manip.arrays import namespace
 from manip.errors import UserError
 
 Array = np.ndarray
@@ -15,7 +17,7 @@ def near(distance: Array, length: float) -> Array:
 
     robosuite's reaching term is this with length 0.1 m (environments/manipulation).
     """
-    return 1.0 - np.tanh(distance / length)
+    return 1.0 - namespace(distance).tanh(distance / length)
 
 
 def ramp(x: Array, low: float, high: float) -> Array:
@@ -26,7 +28,7 @@ def ramp(x: Array, low: float, high: float) -> Array:
     """
     if not low < high:
         raise UserError(f"a ramp needs low < high, not low {low} and high {high}")
-    return np.clip((x - low) / (high - low), 0.0, 1.0)
+    return namespace(x).clip((x - low) / (high - low), 0.0, 1.0)
 
 
 def tolerance(
@@ -44,5 +46,6 @@ def tolerance(
             "tolerance needs low <= high, margin > 0 and 0 < value_at_margin < 1, not "
             f"{low}, {high}, {margin} and {value_at_margin}"
         )
-    outside = np.maximum(np.maximum(low - x, x - high), 0.0) / margin
-    return np.exp(np.log(value_at_margin) * outside**2)
+    xp = namespace(x)
+    outside = xp.clip(xp.maximum(low - x, x - high), 0.0, None) / margin
+    return xp.exp(float(np.log(value_at_margin)) * outside**2)

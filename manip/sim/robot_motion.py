@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 
+from manip.arrays import namespace
 from manip.sim.not_copied import DeepCopied
 from manip.sim.row_engine import RowEngine
 from manip.sim.scene import Scene
@@ -14,7 +15,8 @@ Array = np.ndarray
 def hand_tilt(eef_mat: Array) -> Array:
     """[N] rad between the tool's z axis and straight down, of rotations [N, 9]."""
     axis = eef_mat[:, [2, 5, 8]]
-    return np.arctan2(np.linalg.norm(axis[:, :2], axis=1), -axis[:, 2])
+    xp = namespace(axis)
+    return xp.arctan2(xp.linalg.norm(axis[:, :2], axis=1), -axis[:, 2])
 
 
 class RobotMotion(DeepCopied):

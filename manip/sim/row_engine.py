@@ -97,6 +97,9 @@ class RowEngine(NotCopied, ABC):
     def _restored(self, env_ids: Array | slice) -> None:
         """Called after saved rows were put back, which need no `mj_forward`."""
 
+    def _fetch(self) -> None:
+        """Called before present rows are read; an engine on a device copies them."""
+
     @abstractmethod
     def _another(self) -> Self:
         """Build an engine with the same options."""
@@ -104,6 +107,7 @@ class RowEngine(NotCopied, ABC):
     @property
     def states(self) -> Array:
         """[N, S] float64: the present state rows, which the next step changes."""
+        self._fetch()
         return self._now.states
 
     @property
@@ -116,8 +120,7 @@ class RowEngine(NotCopied, ABC):
 
         The gripper closes while its number is positive: only the sign counts.
         """
-        action_dim = self.scene.layout.action_dim
-        actions = checked_actions(action, self.num_envs, action_dim)
+        actions = self._checked(action)
         with self._exclusive:
             self._advance(actions, self._now, self._before)
             self._now, self._before = self._before, self._now
@@ -150,7 +153,7 @@ class RowEngine(NotCopied, ABC):
     ) -> None:
         """As `Engine.set_state`."""
         env_ids = checked_env_ids(env_ids, self.num_envs)
-        rows = self._now.states[env_ids]
+        rows = self.states[env_ids]
         self._fill(rows, "qpos", qpos)
         self._fill(rows, "qvel", qvel)
         if start_pos is not None:
@@ -190,12 +193,14 @@ class RowEngine(NotCopied, ABC):
         task's `Sensors` name, fields and memory included.
         """
         with self._exclusive:
+            self._fetch()
             named = {**self._now.views, **self._constants}
             return read_only(with_joints(self.scene.layout, named))
 
     def save(self, env_ids: Array | slice = slice(None)) -> Snapshot:
         """As `Engine.save`."""
         with self._exclusive:
+            self._fetch()
             now = self._now
             return Snapshot(now.states[env_ids].copy(), now.readings[env_ids].copy())
 
@@ -229,10 +234,16 @@ class RowEngine(NotCopied, ABC):
         """Build another engine in the same state; both share the scene."""
         copy = self._another()
         copy.restore(self.save())
-        copy._before.states[:], copy._before.readings[:] = self._before[:2]
+        copy._before.states[:] = self.before.states
+        copy._before.readings[:] = self.before.readings
         copy.broken[:], copy.broken_count = self.broken, self.broken_count
         copy.changes = self.changes
         return copy
+
+    def _checked(self, action: Array) -> Array:
+        """The action as `_advance` takes it; see `checked_actions`."""
+        action_dim = self.scene.layout.action_dim
+        return checked_actions(action, self.num_envs, action_dim)
 
     def _new_buffer(self) -> Buffer:
         states = np.tile(self._default, (self.num_envs, 1))

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from manip.arrays import constant
 from manip.sim.fields import field_slots
 from manip.sim.robot_model import (
     NARROWEST,
@@ -111,4 +112,4 @@ def constant_readings(layout: SceneLayout) -> dict[str, Array]:
 def _closing(gripper: Gripper, command: Array) -> Array:
     """[N] in [-1, 1]: mean command of the fingers in the direction that closes them."""
     fingers = max(1, len(gripper.speed))
-    return (command * np.sign(gripper.speed)).sum(1) / fingers
+    return (command * constant(np.sign(gripper.speed), command)).sum(1) / fingers

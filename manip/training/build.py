@@ -1,5 +1,6 @@
 """Build the parts of a run from its options: environments, agent, policy."""
 
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
@@ -9,9 +10,10 @@ from manip.agents.actor_inputs import seen_parts
 from manip.agents.agent import Agent
 from manip.agents.image_actor import ImageActor
 from manip.agents.networks import RunningNorm, widths_of
-from manip.agents.policy import Policy
+from manip.agents.policy import AnyActor, Policy
 from manip.agents.policy_card import PolicyCard
 from manip.agents.registry import load_algorithm
+from manip.agents.trajectory import CPU
 from manip.cpus import usable_cpus
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.backends.native_batch import NativeBatch
@@ -23,6 +25,7 @@ from manip.errors import UserError
 from manip.training.config import SCALE, TrainConfig
 from manip.training.groups import groups_of
 from manip.training.inputs import cameras_of, spaces_of
+from manip.training.placement import learns_on_gpu
 from manip.training.randomisation import load_randomisation
 from manip.training.reward_weights import parse_weights
 from manip.training.schedule import has_curve
@@ -83,7 +86,8 @@ def _engine_options(config: TrainConfig) -> dict[str, Any]:
     """The options of `make_batch` for the engine of the training environments."""
     chosen = {name: getattr(config, name) for name in ("device", "njmax", "nconmax")}
     if config.engine == "warp":
-        return {"backend": "warp", **chosen}
+        tensors = learns_on_gpu(config) and not config.taste
+        return {"backend": "warp", "tensors": tensors, **chosen}
     if any(value is not None for value in chosen.values()):
         raise UserError("--device, --njmax and --nconmax are options of --engine warp")
     return {}
@@ -139,8 +143,11 @@ def _batch(config: TrainConfig, num_envs: int, **options: Any) -> TaskBatch:
     return batch
 
 
-def build_agent(config: TrainConfig, env: TaskEnv) -> Agent:
+def build_agent(config: TrainConfig, env: TaskEnv, device: torch.device = CPU) -> Agent:
     """Build the algorithm, with networks that fit the environment.
+
+    Args:
+        device: where it learns; only some algorithms take another than the CPU.
 
     Raises:
         UserError: an option does not fit the environment.
@@ -151,8 +158,10 @@ def build_agent(config: TrainConfig, env: TaskEnv) -> Agent:
     _check_scale(config, spaces.action_dim)
     algorithm = load_algorithm(config.algo)
     native = algorithm.has_native_gradients
-    source = {"gradients": config.gradients} if native else {}
-    return algorithm(config.agent, spaces, share_threads(config)[1], **source)
+    options: dict[str, Any] = {"gradients": config.gradients} if native else {}
+    if algorithm.takes_device:
+        options["device"] = device
+    return algorithm(config.agent, spaces, share_threads(config)[1], **options)
 
 
 def _check_scale(config: TrainConfig, action_dim: int) -> None:
@@ -181,9 +190,15 @@ def share_threads(config: TrainConfig) -> tuple[int, int]:
     return -(-threads // 2), max(1, threads // 2)
 
 
+def host_actor(agent: Agent) -> AnyActor:
+    """The agent's actor if it is on the CPU, else a copy there: policies act there."""
+    actor = agent.actor
+    return actor if actor.action_scale.is_cpu else deepcopy(actor).cpu()
+
+
 def policy_of(agent: Agent, config: TrainConfig, env: TaskEnv, steps: int) -> Policy:
     """Return the agent's present policy, with all that an evaluator needs."""
-    actor, inputs = agent.actor, spaces_of(config, env).inputs
+    actor, inputs = host_actor(agent), spaces_of(config, env).inputs
     encoders = actor.sizes if isinstance(actor, ImageActor) else None
     spec = seen_parts(env.batch.observation_spec, inputs)
     card = PolicyCard(

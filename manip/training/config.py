@@ -23,7 +23,7 @@ Controller = Literal["OSC_POSE", "OSC_POSITION", "JOINT_POSITION", "JOINT_VELOCI
 MAY_CHANGE = {
     *("out", "resume", "steps", "until", "threads", "wandb"),
     *("eval_every", "eval_episodes", "curve_episodes", "checkpoint_every", "faults"),
-    *("save_buffer", "preferences", "njmax", "nconmax"),
+    *("save_buffer", "preferences", "device", "njmax", "nconmax"),
 }
 """Options that may change when a run is resumed; the others made it what it is."""
 
@@ -113,8 +113,8 @@ class TrainConfig:
     MuJoCo Warp on an NVIDIA GPU (the extra gpu, docs/gpu.md). Evaluations always use
     the native engine."""
     device: Device | None = None
-    """Device of --engine warp, cuda unless given. cpu: the same kernels on one core, to
-    try and to test them."""
+    """Device of --engine warp, cuda unless given: PPO and SAC also learn there
+    (docs/gpu.md). cpu: the same kernels on one core, to try and to test them."""
     njmax: Annotated[int | None, COUNT] = None
     """Constraint rows that --engine warp allocates for an environment; as measured for
     the task unless given. A larger number takes more memory and time."""
@@ -147,7 +147,8 @@ class TrainConfig:
     gradients: Literal["native", "torchrl"] = "native"
     """Gradients of SAC and PPO: native: compiled code, which is compared with TorchRL's
     losses at the start and at every 1,000th update; torchrl: those losses with
-    autograd. All other algorithms always use TorchRL's losses."""
+    autograd. All other algorithms, and learners on --device cuda, always use TorchRL's
+    losses."""
     overlap: bool = True
     """Simulate and learn at the same time: faster on two cores or more (off-policy
     algorithms only). The policy that collects is then older by one round of updates."""
@@ -238,7 +239,7 @@ def check_lasting(recorded: dict[str, Any], config: TrainConfig) -> None:
     requested, before = lasting(config), lasting_defaults(config.algo) | recorded
     changed = [
         f"{name} was {before.get(name)!r}, not {requested.get(name)!r}"
-        for name in sorted(before.keys() | requested.keys())
+        for name in sorted((before.keys() | requested.keys()) - MAY_CHANGE)
         if before.get(name) != requested.get(name)
     ]
     if changed:

@@ -11,7 +11,7 @@ from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.task_batch import TaskBatch
 from manip.evaluation.episodes import run_episodes
 from manip.evaluation.report import summarise
-from manip.training.build import curve_env, evaluation_env, policy_of
+from manip.training.build import curve_env, evaluation_env, host_actor, policy_of
 from manip.training.config import TrainConfig
 
 Kind = Literal["eval", "curve"]
@@ -112,4 +112,4 @@ class Evaluator:
         """As `policy_of`; only the steps of the card change in a run."""
         if self._card is None:
             self._card = policy_of(agent, self._config, self.env, env_steps).card
-        return Policy(replace(self._card, env_steps=env_steps), agent.actor)
+        return Policy(replace(self._card, env_steps=env_steps), host_actor(agent))

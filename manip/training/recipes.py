@@ -1,5 +1,6 @@
 """Tuned options of runs, by task and algorithm: the files in assets/recipes."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import cache
 from importlib.resources import files
@@ -11,6 +12,15 @@ from manip.envs.task_registry import task_names
 from manip.io.dataclass_values import build
 from manip.io.yaml_files import read_yaml
 from manip.training.config import NESTED, SCALE, TrainConfig, from_dict
+
+STEPS = (
+    *("steps", "eval_every"),
+    *("random_steps", "critic_steps", "initial_steps"),
+)
+"""Options that are numbers of control steps."""
+
+PER_STEP = ("updates_per_step",)
+"""Options that are numbers of updates per control step."""
 
 
 def recipe_names() -> list[str]:
@@ -86,6 +96,31 @@ def with_labels(config: TrainConfig, folder: Path) -> TrainConfig:
         changes = {name: v for name, v in changes.items() if name != SCALE}
     agent = build(type(config.agent), asdict(config.agent) | changes)
     return replace(config, preferences=folder, labels=labels, agent=agent, **values)
+
+
+def for_gpu(config: TrainConfig) -> TrainConfig:
+    """Return a recipe's options for thousands of environments on a GPU.
+
+    Those of its algorithm in the recipe `gpu` replace the options given, if there are
+    any. The number of updates stays: numbers of control steps grow with the rollout.
+    """
+    values = dict(_shipped("gpu").get(config.algo, {}))
+    agent = replace(config.agent, **values.pop("agent", {}))
+    larger = replace(config, agent=agent, **values)
+    factor = _rollout_steps(larger) / _rollout_steps(config)
+    agent = replace(agent, **_times(agent, STEPS, factor))
+    agent = replace(agent, **_times(agent, PER_STEP, 1 / factor))
+    return replace(larger, agent=agent, **_times(larger, STEPS, factor))
+
+
+def _rollout_steps(config: TrainConfig) -> int:
+    return config.num_envs * getattr(config.agent, "rollout_length", 1)
+
+
+def _times(options: Any, names: Sequence[str], factor: float) -> dict[str, Any]:
+    """The options of these names, multiplied; whole numbers stay whole."""
+    values = {n: getattr(options, n) for n in names if hasattr(options, n)}
+    return {n: type(v)(v * factor) for n, v in values.items()}
 
 
 def scales_other_actions(task: str, algo: str, controller: str | None) -> bool:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from manip.agents.agent import Agent
 from manip.agents.registry import load_algorithm
+from manip.agents.trajectory import CPU
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.rewards.reward_function import RewardFunction
 from manip.training.averages import TrainingAverages
@@ -18,6 +19,7 @@ from manip.training.initial_policy import start_agent
 from manip.training.inputs import spaces_of
 from manip.training.memory import check_memory
 from manip.training.nan_guard import NanGuard
+from manip.training.placement import learner_device, placement_notes
 from manip.training.preferences import (
     check_preferences,
     with_preferences,
@@ -92,12 +94,15 @@ def build_parts(
     """
     check_preferences(config)
     check_dataset(config)
+    device = learner_device(config)
     envs = training_envs(config)
     add_waypoints(config, envs, report)
     evaluator = Evaluator(config, envs[0].batch)
-    check_memory(config, spaces_of(config, evaluator.env))
-    agent = build_agent(config, evaluator.env)
+    if device == CPU:
+        check_memory(config, spaces_of(config, evaluator.env))
+    agent = build_agent(config, evaluator.env, device)
     notes = [*start_agent(config, agent, evaluator.env), *_gradient_notes(config)]
+    notes += placement_notes(config)
     recorded = use_dataset(config, agent, envs)
     agent = with_preferences(config, agent, envs[0])
     guard = NanGuard(agent.optimisers(), config.faults == "stop")

@@ -90,10 +90,11 @@ def gradients_of(
 ) -> Gradients:
     """Return checked native gradients, or TorchRL's if `source` is "torchrl".
 
-    There are none in native code for a bounded mean.
+    There are none in native code for a bounded mean, or on other devices than the CPU.
     """
     reference = AutogradGradients(loss, actor, params)
-    if source == "torchrl" or isinstance(actor, BoundedGaussian):
+    elsewhere = params.device.type != "cpu"
+    if source == "torchrl" or elsewhere or isinstance(actor, BoundedGaussian):
         return reference
     native = NativeGradients(loss, actor, critic, params, threads)
     return CheckedGradients(native, reference, actor, critic, native.clip)

@@ -95,9 +95,12 @@ def sac_gradients(
     threads: int,
     source: GradientSource,
 ) -> Gradients:
-    """Return checked native gradients, or TorchRL's if `source` is "torchrl"."""
+    """Return checked native gradients, or TorchRL's if `source` is "torchrl".
+
+    There are none in native code on other devices than the CPU.
+    """
     reference = AutogradGradients(loss, params, actor.observation_dim)
-    if source == "torchrl":
+    if source == "torchrl" or params.actor.device.type != "cpu":
         return reference
     nets = _nets(loss, params, actor, gamma)
     native = NativeGradients(nets, params, batch, threads)

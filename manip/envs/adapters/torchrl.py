@@ -19,7 +19,7 @@ Keys, with N environments::
     states, ...    what `batch.record` returns, if requested
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from manip.arrays import is_tensor, namespace, on_host
 from manip.envs.task_batch import TaskBatch
 from manip.envs.time_step import TimeStep
 
@@ -114,12 +115,15 @@ class TaskEnv(EnvBase):
     ) -> TensorDictBase:
         env_ids = np.arange(self.batch.num_envs)
         if tensordict is not None and "_reset" in tensordict.keys():
-            env_ids = np.flatnonzero(tensordict["_reset"].numpy())
+            env_ids = np.flatnonzero(on_host(tensordict["_reset"]))
         self.batch.begin(env_ids)
         return self.observe()
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        time_step = self.batch.step(tensordict["action"].detach().numpy())
+        action = tensordict["action"].detach()
+        time_step = self.batch.step(
+            action if self.batch.gives_tensors else action.numpy()
+        )
         return self._tensors(time_step).set("reward", _columns([time_step.reward]))
 
     def _tensors(self, time_step: TimeStep) -> TensorDictBase:
@@ -128,13 +132,13 @@ class TaskEnv(EnvBase):
             time_step.milestones[name] for name in self.batch.task.milestone_names
         ]
         tensors = {
-            "observation": torch.from_numpy(time_step.observation),
+            "observation": torch.as_tensor(time_step.observation),
             "reward_terms": _columns(terms),
-            "success": torch.from_numpy(time_step.success[:, None]),
-            "milestones": torch.from_numpy(np.stack(milestones, axis=1)),
-            "terminated": torch.from_numpy(time_step.terminated[:, None]),
-            "truncated": torch.from_numpy(time_step.truncated[:, None]),
-            "done": torch.from_numpy(time_step.done[:, None]),
+            "success": torch.as_tensor(time_step.success[:, None]),
+            "milestones": torch.as_tensor(_stacked(milestones)),
+            "terminated": torch.as_tensor(time_step.terminated[:, None]),
+            "truncated": torch.as_tensor(time_step.truncated[:, None]),
+            "done": torch.as_tensor(time_step.done[:, None]),
         }
         for name, images in time_step.images.items():
             tensors[name] = torch.from_numpy(images)
@@ -164,5 +168,11 @@ class TaskEnv(EnvBase):
         self.batch.restart(seed or 0)
 
 
-def _columns(values: Iterable[Array]) -> torch.Tensor:
-    return torch.from_numpy(np.stack(list(values), axis=1, dtype=np.float32))
+def _stacked(values: Sequence[Any]) -> Any:
+    return namespace(values[0]).stack(values, axis=1)
+
+
+def _columns(values: Sequence[Any]) -> torch.Tensor:
+    if is_tensor(values[0]):
+        return torch.stack([value.float() for value in values], 1)
+    return torch.from_numpy(np.stack(values, axis=1, dtype=np.float32))

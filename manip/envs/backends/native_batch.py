@@ -7,6 +7,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from manip.arrays import on_host
 from manip.cameras import check_cameras
 from manip.envs.episode_looks import EpisodeLooks
 from manip.envs.episode_options import EpisodeOptions
@@ -150,10 +151,10 @@ class NativeBatch(DeepCopied, TaskBatch):
         """As `TaskBatch.step`; visited states go to the restart buffer."""
         time_step = super().step(action)
         if self.waypoints:
-            self.waypoints.end(time_step.done, time_step.success)
+            self.waypoints.end(on_host(time_step.done), on_host(time_step.success))
         if self._restarts:
             now = (self.elapsed + np.arange(self.num_envs)) % INTERVAL == 0
-            milestones = np.stack([*time_step.milestones.values()], axis=1)
+            milestones = np.stack([*map(on_host, time_step.milestones.values())], 1)
             self._restarts.store(self.engine.save(now), milestones[now])
         return time_step
 
@@ -212,7 +213,7 @@ class NativeBatch(DeepCopied, TaskBatch):
             "reward_weights": self.reward_weights,
             "state": before.states[fault.env_id],
             "readings": before.readings[fault.env_id],
-            "action": np.asarray(self._action[fault.env_id], float),
+            "action": np.asarray(on_host(self._action[fault.env_id]), float),
         }
         save_tree(path, {"format": DUMP_FORMAT, **step})
 

@@ -36,12 +36,6 @@ def _scatter(
     target[env_ids[i], start + k] = rows[i, at + k]
 
 
-@wp.kernel(enable_backward=False)
-def _gather_numbers(numbers: wp.array[int], rows: wp.array2d[float], at: int) -> None:
-    env = wp.tid()
-    rows[env, at] = float(numbers[env % numbers.shape[0]])
-
-
 def gather(source: Any, start: int, size: int, rows: Any, at: int) -> None:
     """rows[:, at : at + size] = source[:, start : start + size]."""
     if size:
@@ -54,11 +48,6 @@ def scatter(rows: Any, at: int, env_ids: Any, count: int, place: "Place") -> Non
     if place.size and count:
         inputs = [rows, at, env_ids, place.array, place.start]
         wp.launch(_scatter, dim=(count, place.size), inputs=inputs)
-
-
-def gather_numbers(numbers: Any, rows: Any, at: int) -> None:
-    """rows[:, at] = numbers [N] int, or [1] for all environments."""
-    wp.launch(_gather_numbers, dim=rows.shape[0], inputs=[numbers, rows, at])
 
 
 class Place:

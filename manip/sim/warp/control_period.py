@@ -9,6 +9,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
+from manip.arrays import is_tensor
 from manip.sim.warp.captured import Captured
 from manip.sim.warp.controller import Controller
 from manip.sim.warp.env_guard import EnvGuard
@@ -47,8 +48,8 @@ class ControlPeriod:
         self._launch = Captured(self._period)
 
     def run(self, action: Array) -> None:
-        """Take one control period; action [N, A]."""
-        values = wp.array(action.astype(np.float32), dtype=float, device="cpu")
+        """Take one control period; action [N, A] on the host, or a torch tensor."""
+        values = _floats(action)
         if self._action is None:
             self._action = wp.zeros(action.shape, dtype=float)
         wp.copy(self._action, values)
@@ -82,3 +83,10 @@ class ControlPeriod:
         self._model.opt.disableflags = flags if on else flags | _SENSORS_OFF
         yield
         self._model.opt.disableflags = flags
+
+
+def _floats(action: Any) -> Any:
+    """An action as an array of Warp, float32; a tensor's memory is shared."""
+    if is_tensor(action):
+        return wp.from_torch(action.detach().float().contiguous())
+    return wp.array(action.astype(np.float32), dtype=float, device="cpu")

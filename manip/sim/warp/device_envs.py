@@ -39,7 +39,7 @@ class DeviceEnvs:
     Attributes:
         model, data: of mujoco_warp.
         controller: the control laws.
-        results: the rows that `step` and `forward` fill.
+        results: the rows that `step`, `forward` and `put` fill.
     """
 
     def __init__(self, scene: Scene, num_envs: int, sizes: Sizes) -> None:
@@ -57,6 +57,7 @@ class DeviceEnvs:
         self._upload = Upload(
             wp.zeros((num_envs, width), dtype=float), wp.zeros(num_envs, dtype=int)
         )
+        self._put = wp.zeros_like(self.results.present)
         self._chosen = wp.zeros(num_envs, dtype=int)
         self._launch_forward = Captured(self._forward)
         self._warmstart = wp.zeros_like(self.data.qacc_warmstart)
@@ -73,6 +74,13 @@ class DeviceEnvs:
         for at, place in self._places:
             scatter(self._upload.rows, at, self._upload.env_ids, len(env_ids), place)
         self._static.pose(self.model, self.data)
+
+    def put(self, env_ids: Array, rows: Array) -> None:
+        """Set the present result rows of some environments to rows [n, W]."""
+        _send(np.ascontiguousarray(rows, np.float32), self._put)
+        _send(env_ids.astype(np.int32), self._upload.env_ids)
+        place = Place(self.results.present)
+        scatter(self._put, 0, self._upload.env_ids, len(env_ids), place)
 
     def forward(self, env_ids: Array) -> None:
         """Run `mj_forward` in some environments, with ctrl 0: warm start, readings."""
@@ -91,6 +99,7 @@ class DeviceEnvs:
         inputs = [self._chosen, self._warmstart, self.data.qacc_warmstart]
         wp.launch(_keep_others, dim=self.data.nworld, inputs=inputs)
         self.results.fill()
+        self.results.accept(self._chosen)
 
     @property
     def device_bytes_per_env(self) -> float:

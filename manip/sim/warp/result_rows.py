@@ -1,20 +1,16 @@
-"""ResultRows: the result of a control period, one row an environment, in one copy."""
+"""ResultRows: states and readings of all environments, one row each, on the device."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
 
 from manip.sim.scene import Scene
 from manip.sim.state_row import readings_width, touch_start
-from manip.sim.warp.columns import flat, gather, gather_numbers
+from manip.sim.warp.columns import flat, gather
 from manip.sim.warp.controller import Controller
 
 Array = np.ndarray
-
-BROKEN, ROWS, CONTACTS, FIRST = range(4)
-"""Columns: whether the environment is broken; the most constraint rows of any, and the
-most contacts of all together, in the control period; the first one of the state."""
 
 
 @wp.kernel(enable_backward=False)
@@ -48,14 +44,42 @@ def _record_demand(
         wp.atomic_max(demand, 1, wp.max(nacon[0], ncollision[0]))
 
 
-class ResultRows:
-    """Rows [N, W] float32 on the device, and their copy on the host.
+@wp.kernel(enable_backward=False)
+def _copy_rows(
+    rows: wp.array2d[float],
+    flags: wp.array[int],
+    wanted: int,
+    target: wp.array2d[float],
+) -> None:
+    env, k = wp.tid()
+    if flags[env] == wanted:
+        target[env, k] = rows[env, k]
 
-    A row holds the columns above, the part of the state that a step changes (qpos,
-    qvel, warm start, start_pos, gripper command), and the readings.
+
+class Look(NamedTuple):
+    """What the host must know of a control period.
+
+    Attributes:
+        broken: [N] bool, environments that are broken.
+        rows: the most constraint rows of any environment.
+        contacts: the most contacts of all environments together.
+    """
+
+    broken: Array
+    rows: int
+    contacts: int
+
+
+class ResultRows:
+    """Rows [N, W] float32: results of a control period, and those that are present.
+
+    A row holds the part of the state that a step changes (qpos, qvel, warm start,
+    start_pos, gripper command), and the readings.
 
     Attributes:
         state_width: length of the part of the state.
+        present: rows of the present states, on the device.
+        before: those before the last step.
     """
 
     def __init__(self, scene: Scene, data: Any, controller: Controller) -> None:
@@ -73,16 +97,16 @@ class ResultRows:
             wp.array(scene.touch_of_sensor.astype(np.int32), dtype=int),
             wp.array(limits, dtype=float),
         )
-        self._touch_at = FIRST + self.state_width + touch_start(scene)
-        width = FIRST + self.state_width + readings_width(scene)
-        self._rows = wp.zeros((num_envs, width), dtype=float)
-        pinned = self._rows.device.is_cuda
-        self._host = wp.zeros(
-            (num_envs, width), dtype=float, device="cpu", pinned=pinned
+        self._touch_at = self.state_width + touch_start(scene)
+        shape = num_envs, self.state_width + readings_width(scene)
+        self._rows, self.present, self.before = (
+            wp.zeros(shape, dtype=float) for _ in range(3)
         )
+        pinned = self._rows.device.is_cuda
+        self._host = wp.zeros(shape, dtype=float, device="cpu", pinned=pinned)
 
     def clear_demand(self) -> None:
-        """Begin to record what the columns ROWS and CONTACTS hold."""
+        """Begin to record the demand of `look`."""
         self._demand.zero_()
 
     def record_demand(self) -> None:
@@ -92,11 +116,8 @@ class ResultRows:
         wp.launch(_record_demand, dim=data.nworld, inputs=counts)
 
     def fill(self) -> None:
-        """Compute the rows from the present state of mujoco_warp's Data."""
-        rows, at = self._rows, FIRST
-        gather_numbers(self._broken, rows, BROKEN)
-        gather_numbers(self._demand[:1], rows, ROWS)
-        gather_numbers(self._demand[1:], rows, CONTACTS)
+        """Compute the results from the present state of mujoco_warp's Data."""
+        rows, at = self._rows, 0
         for part in self._parts:
             gather(part, 0, part.shape[1], rows, at)
             at += part.shape[1]
@@ -109,10 +130,28 @@ class ResultRows:
         if len(self._touches[1]):
             wp.launch(_count_touches, dim=rows.shape[0], inputs=inputs)
 
-    def to_host(self) -> Array:
-        """[N, W]: the rows; valid until the next call."""
-        wp.copy(self._host, self._rows)
-        if self._rows.device.is_cuda:
-            wp.synchronize_device(self._rows.device)
-        rows: Array = self._host.numpy()
-        return rows
+    def look(self) -> Look:
+        """Wait for the device, and copy what the host must know."""
+        rows, contacts = self._demand.numpy()
+        return Look(self._broken.numpy() != 0, int(rows), int(contacts))
+
+    def accept_step(self) -> None:
+        """Make the results of unbroken environments the present rows."""
+        wp.copy(self.before, self.present)
+        self._accept(self._broken, 0)
+
+    def accept(self, chosen: Any) -> None:
+        """Make the results the present rows where chosen [N] int is 1."""
+        self._accept(chosen, 1)
+
+    def _accept(self, flags: Any, wanted: int) -> None:
+        inputs = [self._rows, flags, wanted, self.present]
+        wp.launch(_copy_rows, dim=self._rows.shape, inputs=inputs)
+
+    def to_host(self, rows: Any) -> Array:
+        """[N, W]: a copy of `present` or `before`; valid until the next call."""
+        wp.copy(self._host, rows)
+        if rows.device.is_cuda:
+            wp.synchronize_device(rows.device)
+        copied: Array = self._host.numpy()
+        return copied

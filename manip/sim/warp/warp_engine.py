@@ -1,16 +1,21 @@
 """WarpEngine: step N environments of one scene with MuJoCo Warp."""
 
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
 import warp as wp
 
+from manip.arrays import is_tensor
 from manip.cpus import usable_cpus
+from manip.errors import UserError
+from manip.sim.engine import Snapshot
 from manip.sim.row_engine import Buffer, RowEngine
 from manip.sim.scene import Scene
 from manip.sim.warp.device_envs import DeviceEnvs
+from manip.sim.warp.device_readings import DeviceReadings
 from manip.sim.warp.library import Device, check_library
-from manip.sim.warp.result_rows import BROKEN, CONTACTS, FIRST, ROWS
+from manip.sim.warp.result_rows import Look
 from manip.sim.warp.sizes import Sizes, check_demand
 
 Array = np.ndarray
@@ -20,7 +25,8 @@ class WarpEngine(RowEngine):
     """Step N environments of a scene with MuJoCo Warp; implements `Engine`.
 
     Simulation is in float32, and control laws in float64. Rows of states and readings
-    are float64 copies on the host. Differences from `BatchEngine`: docs/gpu.md.
+    are on the device; the host has float64 copies, made when they are read.
+    Differences from `BatchEngine`: docs/gpu.md.
 
     Args:
         scene: what is simulated.
@@ -50,6 +56,7 @@ class WarpEngine(RowEngine):
         self.device, self.sizes, self.demand = device, sizes, Sizes(0, 0)
         with wp.ScopedDevice(device):
             self._envs = DeviceEnvs(scene, num_envs, sizes)
+        self._now_old = self._before_old = False
         self._memory_at = self._default.size - sum(scene.layout.memory.values())
         self._forward(np.arange(num_envs))  # objects may overlap in the default pose
 
@@ -63,52 +70,101 @@ class WarpEngine(RowEngine):
         """Memory of the device that one more environment takes, without scratch."""
         return round(self._envs.device_bytes_per_env)
 
+    @property
+    def before(self) -> Snapshot:
+        """As `Engine.before`."""
+        if self._before_old:
+            self._copy_rows(self._envs.results.before, self._before)
+            self._before_old = False
+        return super().before
+
+    @cached_property
+    def _device_readings(self) -> DeviceReadings:
+        return DeviceReadings(self.scene, self._envs.results)
+
+    def tensors(self) -> dict[str, Any]:
+        """The present readings as torch tensors on the device, see `DeviceReadings`."""
+        with self._exclusive:
+            self._wait()  # torch has other streams than Warp
+            return self._device_readings.read()
+
+    def _checked(self, action: Any) -> Any:
+        """Actions of the host, checked; or a tensor [N, A] on the device."""
+        if not is_tensor(action):
+            return super()._checked(action)
+        expected = self.num_envs, self.scene.layout.action_dim
+        if tuple(action.shape) != expected:
+            raise UserError(
+                f"the action has shape {tuple(action.shape)}, expected {expected}"
+            )
+        self._wait()
+        return action
+
+    def _wait(self) -> None:
+        """Wait for all work on the device, of Warp and of torch."""
+        device = wp.get_device(self.device)
+        if device.is_cuda:
+            wp.synchronize_device(device)
+
     def _advance(self, actions: Array, now: Buffer, after: Buffer) -> None:
         with wp.ScopedDevice(self.device):
             self._envs.step(actions)
-            rows = self._envs.results.to_host()
-        self._check_demand(rows)
-        self.broken[:] = rows[:, BROKEN] != 0
-        after.states[:], after.readings[:] = now.states, now.readings
-        self._take(rows, np.flatnonzero(~self.broken), after)
+            look = self._envs.results.look()
+            self._check_demand(look)
+            self._envs.results.accept_step()
+        self.broken[:] = look.broken
+        after.states[:] = now.states  # fields and memory: a step does not change them
+        self._now_old = self._before_old = True
+
+    def _fetch(self) -> None:
+        if self._now_old:
+            self._copy_rows(self._envs.results.present, self._now)
+            self._now_old = False
+
+    def _copy_rows(self, rows: Any, into: Buffer) -> None:
+        with wp.ScopedDevice(self.device):
+            copied = self._envs.results.to_host(rows)
+        width = self._envs.results.state_width
+        into.states[:, :width], into.readings[:] = copied[:, :width], copied[:, width:]
 
     def _refresh(self, env_ids: Array) -> None:
         if len(env_ids):
             self._check_demand(self._forward(env_ids))
 
-    def _forward(self, env_ids: Array) -> Array:
-        """Send rows, run `mj_forward` and take its readings; return the result rows."""
-        self._restored(env_ids)
+    def _forward(self, env_ids: Array) -> Look:
+        """Send rows, run `mj_forward`, and make its results the present rows."""
+        self._send(env_ids)
         with wp.ScopedDevice(self.device):
             self._envs.forward(env_ids)
-            rows = self._envs.results.to_host()
-        self._take(rows, env_ids, self._now)
-        return rows
+            look = self._envs.results.look()
+        self._now_old = True
+        return look
 
     def _restored(self, env_ids: Array | slice) -> None:
-        """Send rows to the device, and keep them as it has them: in float32."""
+        states, width = self._send(env_ids), self._envs.results.state_width
+        rows = np.hstack([states[:, :width], self._now.readings[env_ids]])
+        with wp.ScopedDevice(self.device):
+            self._envs.put(np.arange(self.num_envs)[env_ids], rows)
+
+    def _send(self, env_ids: Array | slice) -> Array:
+        """Send rows to the device, and keep and return them as it has them: float32."""
         states, chosen = self._now.states, np.arange(self.num_envs)[env_ids]
         sent = states[chosen, : self._memory_at].astype(np.float32)
         states[chosen, : self._memory_at] = sent
         with wp.ScopedDevice(self.device):
             self._envs.write(chosen, sent)
+        return sent
 
-    def _take(self, rows: Array, env_ids: Array, into: Buffer) -> None:
-        """Copy states and readings of some environments out of result rows."""
-        middle = FIRST + self._envs.results.state_width
-        into.states[env_ids, : middle - FIRST] = rows[env_ids, FIRST:middle]
-        into.readings[env_ids] = rows[env_ids, middle:]
-
-    def _check_demand(self, rows: Array) -> None:
-        needed = int(rows[0, ROWS]), int(rows[0, CONTACTS])
+    def _check_demand(self, look: Look) -> None:
         self.demand = Sizes(
-            max(self.demand.njmax, needed[0]),
-            max(self.demand.nconmax, -(-needed[1] // self.num_envs)),
+            max(self.demand.njmax, look.rows),
+            max(self.demand.nconmax, -(-look.contacts // self.num_envs)),
         )
         try:
-            check_demand(self.sizes, self.num_envs, *needed)
+            check_demand(self.sizes, self.num_envs, look.rows, look.contacts)
         except Exception:
-            self._restored(slice(None))
+            self._fetch()
+            self._send(slice(None))
             raise
 
     def _another(self) -> Self:
