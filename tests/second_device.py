@@ -31,7 +31,7 @@ _MODULE = SimpleNamespace(
     manual_seed_all=lambda seed: None,
     synchronize=lambda: None,
 )
-"""What torch asks of the module `torch.second`."""
+"""The functions that torch calls in the module `torch.second`."""
 
 
 class _Hooks(torch._C._acc.PrivateUse1Hooks):

@@ -109,12 +109,12 @@ def rollout(kind: type[NativeBatch], scene: Scene, device: torch.device) -> Expe
 def test_a_rollout_stays_on_the_device(lift: Task, scene_of: SceneOf) -> None:
     scene = scene_of(lift, fidelity="fast")
     expected = rollout(NativeBatch, scene, CPU)
-    found = rollout(SecondBatch, scene, SECOND)
-    assert found.episodes == expected.episodes
-    assert len(found.episodes) == 8
-    assert found.reward_terms == pytest.approx(expected.reward_terms, rel=1e-5)
+    result = rollout(SecondBatch, scene, SECOND)
+    assert result.episodes == expected.episodes
+    assert len(result.episodes) == 8
+    assert result.reward_terms == pytest.approx(expected.reward_terms, rel=1e-5)
     for key, value in expected.batch.items(True, True):
-        tensor = found.batch[key]
+        tensor = result.batch[key]
         assert tensor.device == SECOND, key
         torch.testing.assert_close(tensor.cpu(), value)
 
@@ -136,12 +136,12 @@ def test_what_is_not_finite_is_cut_off_on_the_device() -> None:
         last = np.full((2, 2), 7.0)
         cut.append(time_step.cut_off(time_step.finite(), last))
     assert on_host(cut[1].observation).tolist() == [[1.0, 2.0], [7.0, 7.0]]
-    for expected, found in zip(*cut, strict=True):
-        found = found["near"] if isinstance(found, dict) and found else found
-        if isinstance(found, torch.Tensor):
-            assert found.device == SECOND
+    for expected, result in zip(*cut, strict=True):
+        result = result["near"] if isinstance(result, dict) and result else result
+        if isinstance(result, torch.Tensor):
+            assert result.device == SECOND
             host = expected["near"] if isinstance(expected, dict) else expected
-            torch.testing.assert_close(found.cpu(), host)
+            torch.testing.assert_close(result.cpu(), host)
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf])

@@ -20,8 +20,8 @@ BEFORE_PEGS = 0.1
 HIGH = 0.98
 """Height [m] at which the open hand travels. At the pegs the arm does not reach 1 m."""
 YAWS = (-0.4, np.pi + 0.4)
-"""Least and greatest yaw [rad] of the tool at a handle. From all of them the wrist can
-turn as `_towards_robot` asks."""
+"""Least and greatest yaw [rad] of the tool at a handle. From all of them the
+turn of `_towards_robot` is within the wrist's range."""
 
 
 def assemble_nut(m: Measures) -> Array:

@@ -56,8 +56,8 @@ def _copy_rows(
         target[env, k] = rows[env, k]
 
 
-class Look(NamedTuple):
-    """What the host must know of a control period.
+class PeriodStatus(NamedTuple):
+    """What the host reads after each control period.
 
     Attributes:
         broken: [N] bool, environments that are broken.
@@ -106,7 +106,7 @@ class ResultRows:
         self._host = wp.zeros(shape, dtype=float, device="cpu", pinned=pinned)
 
     def clear_demand(self) -> None:
-        """Begin to record the demand of `look`."""
+        """Begin to record the demand of `read_status`."""
         self._demand.zero_()
 
     def record_demand(self) -> None:
@@ -130,10 +130,10 @@ class ResultRows:
         if len(self._touches[1]):
             wp.launch(_count_touches, dim=rows.shape[0], inputs=inputs)
 
-    def look(self) -> Look:
-        """Wait for the device, and copy what the host must know."""
+    def read_status(self) -> PeriodStatus:
+        """Wait for the device, and copy the status to the host."""
         rows, contacts = self._demand.numpy()
-        return Look(self._broken.numpy() != 0, int(rows), int(contacts))
+        return PeriodStatus(self._broken.numpy() != 0, int(rows), int(contacts))
 
     def accept_step(self) -> None:
         """Make the results of unbroken environments the present rows."""

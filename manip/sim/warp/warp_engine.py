@@ -15,7 +15,7 @@ from manip.sim.scene import Scene
 from manip.sim.warp.device_envs import DeviceEnvs
 from manip.sim.warp.device_readings import DeviceReadings
 from manip.sim.warp.library import Device, check_library
-from manip.sim.warp.result_rows import Look
+from manip.sim.warp.result_rows import PeriodStatus
 from manip.sim.warp.sizes import Sizes, check_demand
 
 Array = np.ndarray
@@ -109,10 +109,10 @@ class WarpEngine(RowEngine):
     def _advance(self, actions: Array, now: Buffer, after: Buffer) -> None:
         with wp.ScopedDevice(self.device):
             self._envs.step(actions)
-            look = self._envs.results.look()
-            self._check_demand(look)
+            status = self._envs.results.read_status()
+            self._check_demand(status)
             self._envs.results.accept_step()
-        self.broken[:] = look.broken
+        self.broken[:] = status.broken
         after.states[:] = now.states  # fields and memory: a step does not change them
         self._now_old = self._before_old = True
 
@@ -131,14 +131,14 @@ class WarpEngine(RowEngine):
         if len(env_ids):
             self._check_demand(self._forward(env_ids))
 
-    def _forward(self, env_ids: Array) -> Look:
+    def _forward(self, env_ids: Array) -> PeriodStatus:
         """Send rows, run `mj_forward`, and make its results the present rows."""
         self._send(env_ids)
         with wp.ScopedDevice(self.device):
             self._envs.forward(env_ids)
-            look = self._envs.results.look()
+            status = self._envs.results.read_status()
         self._now_old = True
-        return look
+        return status
 
     def _restored(self, env_ids: Array | slice) -> None:
         states, width = self._send(env_ids), self._envs.results.state_width
@@ -155,13 +155,13 @@ class WarpEngine(RowEngine):
             self._envs.write(chosen, sent)
         return sent
 
-    def _check_demand(self, look: Look) -> None:
+    def _check_demand(self, status: PeriodStatus) -> None:
         self.demand = Sizes(
-            max(self.demand.njmax, look.rows),
-            max(self.demand.nconmax, -(-look.contacts // self.num_envs)),
+            max(self.demand.njmax, status.rows),
+            max(self.demand.nconmax, -(-status.contacts // self.num_envs)),
         )
         try:
-            check_demand(self.sizes, self.num_envs, look.rows, look.contacts)
+            check_demand(self.sizes, self.num_envs, status.rows, status.contacts)
         except Exception:
             self._fetch()
             self._send(slice(None))
