@@ -137,8 +137,12 @@ def _prefixed(parts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 def _view(read: Measures, name: str) -> Measures:
     """The readings, with those of one object named as its own task names them."""
     start = f"{name}_"
-    own = {key: values for key, values in read.items() if key.startswith(start)}
-    return {**read, **{key.removeprefix(start): own[key] for key in own}}
+    own = {
+        key.removeprefix(start): values
+        for key, values in read.items()
+        if key.startswith(start)
+    }
+    return {**read, **own}
 
 
 def _chosen(each: Sequence[Measures], active: Array, read: Measures) -> Measures:
