@@ -1,7 +1,7 @@
 """NutAssembly: the terms of its rewards.
 
 Shaped reward, in [0, 1] per step: 0.1 reach + 0.05 turn + 0.15 grasp + 0.15 lift
-    + 0.25 over + 0.05 thread + 0.15 down + 0.05 release + 0.05 stay.
+    + 0.2 over + 0.05 thread + 0.2 down + 0.05 release + 0.05 stay.
     reach: 1 - tanh(5 d) of the distance d [m] by which the tool is farther than 1.5 cm
         from the handle, times a factor that falls to 0.5 as an empty gripper closes.
     turn: rises as the fingers turn across the handle, within about 10 cm of it.
@@ -13,12 +13,14 @@ Shaped reward, in [0, 1] per step: 0.1 reach + 0.05 turn + 0.15 grasp + 0.15 lif
         50 cm; 0.4 of it falls within 3 cm, times how well a square nut is turned.
     thread: 1 while the peg is in the nut. Then all terms above are 1.
     down: rises as the nut sinks along the peg, once it fits over it.
-    release: on the peg, rises as the command goes from closed to open.
+    release: on the peg, down times how far the command has gone from closed to open.
     stay: 1 on success. Then down and release are 1 as well.
     The terms grasp, lift, over and down need a firm grasp: both finger pads touch the
     nut and the tool is within 2 cm of the handle.
 
-A nut above its peg pays at most 0.73, on the peg at least 0.78, and 1 on success.
+A nut above its peg pays at most 0.69, on the peg at least 0.74, and 1 on success.
+When release paid at any height, policies let go of the nut as soon as the peg was in it:
+of 64 nuts, 57 were on the peg, and 15 of these stayed high on it.
 """
 
 import numpy as np
@@ -46,9 +48,9 @@ WEIGHTS: Weights = {
         "turn": 0.05,
         "grasp": 0.15,
         "lift": 0.15,
-        "over": 0.25,
+        "over": 0.2,
         "thread": 0.05,
-        "down": 0.15,
+        "down": 0.2,
         "release": 0.05,
         "stay": 0.05,
     },
@@ -72,7 +74,7 @@ def shaped_terms(m: Measures, success: Array) -> dict[str, Array]:
         "over": np.maximum(on_peg, lift * _near_peg(m)),
         "thread": on_peg.astype(float),
         "down": np.maximum(success, down),
-        "release": np.maximum(success, on_peg * opening),
+        "release": np.maximum(success, on_peg * _lowered(m) * opening),
         "stay": success.astype(float),
     }
 

@@ -47,7 +47,7 @@ def test_push_pays_as_documented() -> None:
     m = task.measure(readings(cube, goal, tool, [0, 0, 1, 1, 1]))
     near = 0.3 * (1 - np.tanh(0.3))
     empty = [0.15 * FAR + 0.3 * FAR, 0.15 + 0.3 * FAR]
-    shaped = [*empty, 0.35 + near + 0.35 * 0.1, 1, 0.65 + 0.35 * 0.78]
+    shaped = [*empty, 0.35 + near + 0.35 * 0.1, 1, 0.65 + 0.35 * 0.39]
     np.testing.assert_allclose(reward_of(task, m, "shaped"), shaped)
     assert task.success(m).tolist() == [False, False, False, True, False]
     far, middle = 1 - np.tanh(2), 1 - np.tanh(0.6)

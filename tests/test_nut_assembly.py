@@ -42,9 +42,9 @@ def test_it_pays_as_documented_and_more_each_stage(cls) -> None:
     m = stage_measures(task)
     shaped = weighted_sum(task.reward_terms(m, "shaped"), task.weights["shaped"])
     beside = 0.6 * (1 - 0.3 / 0.5) + 0.4 * (1 - tanh(10))
-    half_up = 0.3 + 0.75 * (0.15 + 0.25 * beside)
+    half_up = 0.3 + 0.75 * (0.15 + 0.2 * beside)
     low = [0.1 * (1 - tanh(0.925)) + 0.05 * (1 - tanh(2)), 0.15, 0.3, half_up]
-    top = [0.7, 0.7 + 0.015, 0.75 + 0.045, 0.75 + 0.045 + 0.025, 1]
+    top = [0.65, 0.65 + 0.02, 0.7 + 0.06, 0.7 + 0.06 + 0.0075, 1]
     np.testing.assert_allclose(shaped, low + top)
     assert (np.diff(shaped) > 0).all()
     assert task.success(m).tolist() == [False] * 8 + [True]
