@@ -20,9 +20,9 @@ TOOL_PARTS = ("tool_yaw", "tool_tilt")
 
 
 def start_qpos(scene: Scene, streams: EpisodeStreams) -> Array:
-    """[n, nq]: the default pose, with robosuite's noise on the arm's joints."""
+    """[n, nq]: the default pose, with robosuite's noise on the arms' joints."""
     qpos = np.tile(scene.layout.qpos, (len(streams), 1))
-    joints = scene.layout.arm.qpos
+    joints = scene.layout.joint_qpos
     qpos[:, joints] += streams.normal(JOINT_NOISE, len(joints))
     return qpos
 

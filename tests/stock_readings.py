@@ -23,7 +23,7 @@ Reading = Callable[[dict[str, Array], Scene], Array]
 ROBOT_READINGS: dict[str, Reading] = {
     "robot0_joint_pos": lambda r, s: r["joint_pos"][0],
     "robot0_joint_vel": lambda r, s: r["joint_vel"][0],
-    "robot0_joint_acc": lambda r, s: r["qacc"][0, s.layout.arm.dof],
+    "robot0_joint_acc": lambda r, s: r["qacc"][0, s.layout.robots[0].arm.dof],
     "robot0_eef_pos": lambda r, s: r["eef_pos"][0],
     "robot0_eef_quat": lambda r, s: wxyz_to_xyzw(r["hand_quat"][0]),
     "robot0_gripper_qpos": lambda r, s: r["gripper_qpos"][0],

@@ -63,7 +63,7 @@ def test_a_hand_shuts_to_the_width_that_is_read(lift: Task, scene: Scene) -> Non
 def shut(scene: Scene) -> float:
     """Gap [m] between the pads of the hand in the air, half a second after it shut."""
     model, layout = scene.visual, scene.layout
-    data, gripper, arm = mujoco.MjData(model), layout.gripper, layout.arm
+    data, (arm, gripper) = mujoco.MjData(model), layout.robots[0]
     data.qpos[:] = layout.qpos
     for _ in range(500):
         data.ctrl[gripper.actuator] = gripper.bias + gripper.weight * np.sign(

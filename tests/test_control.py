@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from manip.compiled import jit
 from manip.sim import control_laws as control
-from manip.sim.control_laws import NULL_KP, Work, new_work
+from manip.sim.control_laws import NULL_KP, Work, new_works
 from manip.sim.scene import Scene
 
 Array = np.ndarray
@@ -98,7 +98,7 @@ def test_no_turn_is_the_identity() -> None:
 
 def placed(p: Array, rot: Array, b: Array, base: Array) -> Work:
     """A tool at p, turned by rot; the base at b, turned by base."""
-    w = new_work(7)
+    w = new_works(1, 7)[0]
     w.tool_p[:], w.tool_r[:], w.base_p[:], w.base_r[:] = p, rot, b, base
     return w
 
@@ -181,7 +181,7 @@ def test_away_from_the_goal_the_tool_is_pulled_to_it(seed: int) -> None:
 
 
 def osc(mass: Array, jac: Array, wrench: Array, pull: Array, bias: Array) -> Array:
-    w = new_work(7)
+    w = new_works(1, 7)[0]
     w.mass[:], w.jac[:], w.joint_acc[:], w.bias[:] = mass, jac, pull, bias
     w.force[:], w.moment[:] = wrench[:3], wrench[3:]
     osc_torque(w)
@@ -218,7 +218,7 @@ def test_the_null_space_does_not_move_the_tool(seed: int) -> None:
 def test_joint_torques_give_the_desired_acceleration(seed: int) -> None:
     mass, _, rng = an_arm(seed)
     acceleration, bias = rng.normal(size=(2, 7))
-    w = new_work(7)
+    w = new_works(1, 7)[0]
     w.mass[:], w.joint_acc[:], w.bias[:] = mass, acceleration, bias
     joint_torque(w)
     result = np.linalg.solve(mass, w.torque - bias)
@@ -226,7 +226,7 @@ def test_joint_torques_give_the_desired_acceleration(seed: int) -> None:
 
 
 def test_gains_are_robosuites_defaults(lift_scene: Scene) -> None:
-    arm = lift_scene.layout.arm
+    arm = lift_scene.layout.robots[0].arm
     assert (arm.osc, arm.kp) == (True, 150.0)
     assert arm.kd == pytest.approx(2 * np.sqrt(150))
     np.testing.assert_allclose(arm.scale, SCALE)

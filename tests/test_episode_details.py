@@ -70,7 +70,7 @@ def test_peaks_bound_what_the_ends_of_the_steps_show(
         motion = episodes[env_id].details.motion
         assert (motion.peak_speed >= np.max(speeds, axis=0) - 1e-6).all()
         assert (np.array(motion.peak_torque) > 0).all()
-        assert (motion.peak_torque <= env.batch.scene.layout.arm.high).all()
+        assert (motion.peak_torque <= env.batch.scene.layout.robots[0].arm.high).all()
         actions = np.array([row["action"][env_id] for row in rows[:STEPS]])
         change = np.abs(np.diff(actions, axis=0)).mean()
         assert motion.action_change == pytest.approx(change, rel=1e-5)

@@ -104,7 +104,7 @@ def in_stock(scene: Scene, fields: Mapping[str, list[float]]) -> dict[str, Array
     data.qacc_warmstart[:], data.ctrl[:] = 0, 0
     stock.sim.forward()
     for part in stock.robots[0].part_controllers.values():
-        part.initial_joint = data.qpos[scene.layout.arm.qpos].copy()
+        part.initial_joint = data.qpos[scene.layout.robots[0].arm.qpos].copy()
         part.new_update = True
     for _ in range(4):
         stock.step(np.full(7, 0.3))

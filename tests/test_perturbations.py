@@ -103,7 +103,7 @@ def test_derived_constants_are_those_of_a_compiled_model(scene: Scene) -> None:
         np.testing.assert_allclose(
             values[cube], factor * getattr(compiled, array)[cube]
         )
-        arm = scene.layout.arm.root
+        arm = scene.layout.robots[0].arm.root
         np.testing.assert_array_equal(values[arm], getattr(compiled, array)[arm])
 
 

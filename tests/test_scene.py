@@ -24,7 +24,7 @@ def forward(scene: Scene, qpos: Array) -> mujoco.MjData:
 
 
 def tool(scene: Scene, qpos: Array) -> Array:
-    return forward(scene, qpos).site_xpos[scene.layout.arm.tool]
+    return forward(scene, qpos).site_xpos[scene.layout.robots[0].arm.tool]
 
 
 # When readings are of
@@ -54,7 +54,7 @@ def test_positions_are_fresh_after_a_reset(lift: Task, lift_scene: Scene) -> Non
         *(engine.read()[name] for name in ("qpos", "eef_pos", "cube_pos")), strict=True
     ):
         data = forward(lift_scene, read_qpos)
-        tool_site = data.site_xpos[lift_scene.layout.arm.tool]
+        tool_site = data.site_xpos[lift_scene.layout.robots[0].arm.tool]
         np.testing.assert_array_equal(eef, tool_site)
         np.testing.assert_array_equal(cube, data.body("cube_main").xpos)
 

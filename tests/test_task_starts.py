@@ -57,7 +57,7 @@ def test_starts_are_distributed_as_stocks(task: Task, scene: Scene) -> None:
 
 
 def test_arms_start_in_the_default_pose_with_noise(task: Task, scene: Scene) -> None:
-    joints = scene.layout.arm.qpos
+    joints = scene.layout.joint_qpos
     noise = starts(task, scene, 500)[:, joints] - scene.layout.qpos[joints]
     np.testing.assert_allclose(noise.mean(axis=0), 0, atol=0.004)
     np.testing.assert_allclose(noise.std(axis=0), 0.02, rtol=0.1)

@@ -60,7 +60,7 @@ def test_a_law_gives_the_torques_of_c_from_equal_inputs(controller: str) -> None
     scene = load_scene("Lift", task.sensors, RobotConfig(controller=controller))
     ours, theirs, torque = torques(scene)
     scale = np.abs(torque).max()
-    assert (np.abs(torque) < scene.layout.arm.high).any()
+    assert (np.abs(torque) < scene.layout.robots[0].arm.high).any()
     np.testing.assert_allclose(theirs, ours, rtol=0, atol=1e-6 * scale)
 
 
@@ -98,7 +98,7 @@ def test_step1_computes_what_c_computes(lift: Task, lift_scene: Scene) -> None:
         mujoco.mj_step1(host, ours)
         mass = np.zeros((host.nv, host.nv))
         mujoco.mj_fullM(host, mass, ours.qM)
-        arm = lift_scene.layout.arm.dof
+        arm = lift_scene.layout.robots[0].arm.dof
         block = np.ix_(arm, arm)
         assert np.abs(data.qM.numpy()[env][block] - mass[block]).max() < 2e-5
         bias = data.qfrc_bias.numpy()[env] - ours.qfrc_bias

@@ -38,8 +38,9 @@ def copy_start(task: Task, engine: BatchEngine, env_ids: Iterable[int]) -> None:
     stock = engine.scene.stock
     # Stock's first step after a reset would use the mass matrix of its construction
     # (an effect below 1e-6 rad); the engine has no such lag.
-    for part in stock.robots[0].part_controllers.values():
-        part.new_update = True
+    for robot in stock.robots:
+        for part in robot.part_controllers.values():
+            part.new_update = True
     read = stock_reader(stock, task.sensors)()
     env_ids = np.array(list(env_ids))
     rows = np.zeros(len(env_ids), dtype=int)

@@ -20,8 +20,8 @@ ARRAYS = ("qpos", "qvel", "qfrc_bias", "cdof", "subtree_com", "site_xpos", "site
 
 
 @jit
-def _control(sim: Any, arm: Any, gripper: Any, w: Any, action: Array) -> None:
-    control(sim, arm, gripper, w, action, 0)
+def _control(sim: Any, robots: Any, works: Any, action: Array) -> None:
+    control(sim, robots, works, action, 0)
 
 
 def torques(scene: Scene, num_envs: int = 16) -> tuple[Array, Array, Array]:
@@ -36,12 +36,10 @@ def torques(scene: Scene, num_envs: int = 16) -> tuple[Array, Array, Array]:
     ours, unclipped = [], []
     for action in actions:
         _pose(thread, scene, rng, given)
-        _control(
-            thread.sim, scene.layout.arm, scene.layout.gripper, thread.work,
-            action.astype(float),
-        )  # fmt: skip
+        robots = scene.layout.robots
+        _control(thread.sim, robots, thread.works, action.astype(float))
         ours.append(thread.data.ctrl.copy())
-        unclipped.append(thread.work.torque.copy())
+        unclipped.append(thread.works[0].torque.copy())
     _send(given, data, controller)
     controller.latch(wp.array(actions, dtype=float))
     controller.drive()
@@ -52,7 +50,8 @@ def _pose(
     thread: ThreadData, scene: Scene, rng: Any, given: dict[str, list[Array]]
 ) -> None:
     """Put the arm into a random pose; round what the law reads to float32."""
-    data, arm, n = thread.data, scene.layout.arm, len(scene.layout.arm.dof)
+    data, arm = thread.data, scene.layout.robots[0].arm
+    n, work = len(arm.dof), thread.works[0]
     thread.sim.command[:] = 0
     data.qpos[:] = scene.layout.qpos
     data.qpos[arm.qpos] += rng.normal(0, 0.3, n)
@@ -61,10 +60,10 @@ def _pose(
     for name in (*ARRAYS, "M"):
         values = getattr(data, name)
         values[...] = values.astype(np.float32)
-    thread.work.q0[:] = (data.qpos[arm.qpos] + 0.1).astype(np.float32)
+    work.q0[:] = (data.qpos[arm.qpos] + 0.1).astype(np.float32)
     for name in ARRAYS:
         given[name].append(getattr(data, name).copy())
-    given["q0"].append(thread.work.q0.copy())
+    given["q0"].append(work.q0.copy())
     given["qM"].append(_dense(thread.model, data.M))
 
 

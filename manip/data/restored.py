@@ -79,12 +79,13 @@ def _cut(episode: StoredEpisode, steps: int) -> StoredEpisode:
 
 
 def _gripper_commands(batch: NativeBatch, action: Array) -> Array:
-    """[T + 1, actuators]: the gripper's command before each step and after the last."""
-    speed = batch.scene.layout.gripper.speed
-    command = np.zeros((len(action) + 1, len(speed)))
-    for t, sign in enumerate(np.sign(action[:, -1])):
+    """[T + 1, k]: the grippers' commands before each step and after the last."""
+    speed = np.array([robot.gripper.speed for robot in batch.scene.layout.robots])
+    command = np.zeros((len(action) + 1, *speed.shape))
+    size = action.shape[1] // len(speed)
+    for t, sign in enumerate(np.sign(action[:, size - 1 :: size, None])):
         command[t + 1] = np.clip(command[t] + speed * sign, -1, 1)
-    return command
+    return command.reshape(len(command), -1)
 
 
 def _observe(
@@ -92,12 +93,12 @@ def _observe(
 ) -> tuple[Array, Array, Array]:
     """Observation [n, D], reward [n] and success [n] in states [n, 1 + nq + nv]."""
     count, nq = len(states), batch.scene.physics.nq
-    arm = batch.scene.layout.arm.qpos
+    joints = batch.scene.layout.joint_qpos
     batch.engine.set_state(
         np.arange(count),
         states[:, 1 : 1 + nq],
         states[:, 1 + nq :],
-        start_pos=np.tile(first[1 : 1 + nq][arm], (count, 1)),
+        start_pos=np.tile(first[1 : 1 + nq][joints], (count, 1)),
         gripper_command=command[:count],
     )
     now = batch.observe()

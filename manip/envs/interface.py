@@ -40,9 +40,10 @@ class Interface:
 def interface_of(batch: TaskBatch, parts: Sequence[str]) -> Interface:
     """The interface of some parts of a batch's observation.
 
-    It is empty for tasks of other libraries, whose measurements are their own.
+    It is empty for tasks of other libraries, whose measurements are their own, and for
+    two robots: `manip.deploy` drives one.
     """
-    if not isinstance(batch, NativeBatch):
+    if not isinstance(batch, NativeBatch) or len(batch.scene.layout.robots) > 1:
         return Interface()
     read = batch.read()
     formulas = observation_formulas(batch.task, read)
@@ -68,7 +69,7 @@ def _described(shape: Sequence[int], words: tuple[str, str, str]) -> dict[str, s
 
 def _control(scene: Scene, controller: str) -> dict[str, Number]:
     """What an action of 1 commands, in which frame, with which gains."""
-    arm, gripper = scene.layout.arm, scene.layout.gripper
+    arm, gripper = scene.layout.only_robot("an interface")
     turns = ["rad"] * (len(arm.scale) if not arm.osc else len(arm.scale) - 3)
     control: dict[str, Number] = {
         "law": controller,

@@ -16,6 +16,7 @@ from manip.envs.perturbation import Perturbations
 from manip.envs.task import Measures, Task
 from manip.errors import UserError
 from manip.observation import ObservationSpec
+from manip.sim.robot_model import reading_prefix
 
 Array = np.ndarray
 
@@ -56,7 +57,10 @@ class Perturber:
         self._sensors, num_envs = batch.task.sensors, batch.num_envs
         bodies = self._sensors.bodies.items()
         self._bodies = [n for n, body in bodies if body not in self._sensors.parked]
-        joints = int(batch.read()["joint_pos"].shape[1])
+        read = batch.read()
+        names = (f"{reading_prefix(number)}joint_pos" for number in (0, 1))
+        self._robots = sum(name in read for name in names)
+        joints = int(read["joint_pos"].shape[1])
         self._draws = [
             EpisodeDraws(each, num_envs, self._size(each.quantity, joints))
             for each in perturbations
@@ -112,7 +116,11 @@ class Perturber:
         """Readings [N, ...] as they are measured, with their errors."""
         measured = dict(read)
         for quantity, name in _READINGS.items():
-            measured[name] = _plus(read[name], self._sum(quantity, elapsed))
+            offset = self._sum(quantity, elapsed)
+            if offset is not None:
+                for number, own in enumerate(np.split(offset, self._robots, axis=1)):
+                    reading = f"{reading_prefix(number)}{name}"
+                    measured[reading] = read[reading] + own
         offsets = self._sum("object_position", elapsed)
         for index, name in enumerate((*self._bodies, *self._sensors.sites)):
             columns = slice(3 * index, 3 * index + 3)
@@ -166,9 +174,9 @@ class Perturber:
             "action": self._batch.action_dim,
             "object_position": 3 * (len(self._bodies) + len(self._sensors.sites)),
             "object_yaw": len(self._bodies),
-            "hand_position": 3,
-            "joint_position": joints,
-            "joint_velocity": joints,
+            "hand_position": 3 * self._robots,
+            "joint_position": joints * self._robots,
+            "joint_velocity": joints * self._robots,
         }
         return sizes.get(quantity, 1)
 

@@ -40,10 +40,10 @@ class VariedStarts:
         """The start states of n episodes with values [n] of each quantity."""
         qpos, fields = start.qpos, dict(start.fields)
         if START_NOISE in values:
-            arm, rest = self.scene.layout.arm.qpos, self.scene.layout.qpos
+            arms, rest = self.scene.layout.joint_qpos, self.scene.layout.qpos
             qpos = qpos.copy()
-            noise = qpos[:, arm] - rest[arm]
-            qpos[:, arm] = rest[arm] + values[START_NOISE][:, None] * noise
+            noise = qpos[:, arms] - rest[arms]
+            qpos[:, arms] = rest[arms] + values[START_NOISE][:, None] * noise
         if self._variation and len(qpos):
             rows = [
                 self._variation.rows({name: v[index] for name, v in values.items()})

@@ -103,7 +103,7 @@ class WaypointMaker:
         threads: native threads; the CPUs this process may use by default.
 
     Raises:
-        UserError: the task has no waypoints, or a wrong name among them.
+        UserError: the task has no waypoints, a wrong name among them, or two robots.
     """
 
     def __init__(
@@ -111,6 +111,7 @@ class WaypointMaker:
     ) -> None:
         check_waypoint_names(task)
         self._task, self._scene, self._seed = task, scene, seed
+        self._robot = scene.layout.only_robot("generating waypoints")
         self._kinematics = InverseKinematics(scene)
         self._fingers, self._command = open_gripper(scene)
         scenes = weightless(scene), scene
@@ -154,7 +155,7 @@ class WaypointMaker:
             waypoint = self._sample(milestone, number)
         start = waypoint.start
         qpos = start.qpos.copy()
-        qpos[:, self._scene.layout.finger_qpos] = self._fingers
+        qpos[:, self._scene.layout.finger_qpos[0]] = self._fingers
         pose = waypoint.tool_pos, waypoint.tool_mat
         reached = self._kinematics.solve(qpos, *pose)
         depth = penetration(self._scene, qpos, start.fields)
@@ -175,12 +176,12 @@ class WaypointMaker:
 
     def _place(self, waypoint: Waypoint, qpos: Array) -> None:
         """Set the candidates' states, with the gripper open."""
-        start, arm = waypoint.start, self._scene.layout.arm
+        start, joints = waypoint.start, self._scene.layout.joint_qpos
         self._floating.engine.set_state(
             np.arange(CANDIDATES),
             qpos,
             np.zeros((CANDIDATES, self._scene.physics.nv)),
-            start_pos=start.qpos[:, arm.qpos],
+            start_pos=start.qpos[:, joints],
             gripper_command=np.tile(self._command, (CANDIDATES, 1)),
             fields=start.fields,
         )
@@ -188,7 +189,7 @@ class WaypointMaker:
     def _lasting(self, milestone: str, closed: bool) -> Array:
         """[n] bool: the milestone lasts, with gravity, once the gripper has closed."""
         action = np.zeros((CANDIDATES, self._floating.action_dim))
-        action[:, len(self._scene.layout.arm.scale) :] = 1.0 if closed else -1.0
+        action[:, len(self._robot.arm.scale) :] = 1.0 if closed else -1.0
         for _ in range(self._closing_steps() if closed else 0):
             self._floating.step(action)
         self._heavy.engine.restore(self._floating.engine.save())
@@ -201,7 +202,7 @@ class WaypointMaker:
 
     def _closing_steps(self) -> int:
         """Control steps in which the gripper's command goes from open to closed."""
-        speed = np.abs(self._scene.layout.gripper.speed).min(initial=1.0)
+        speed = np.abs(self._robot.gripper.speed).min(initial=1.0)
         return int(np.ceil(2 / speed)) + SPARE_STEPS
 
 

@@ -55,7 +55,7 @@ degree/s), Kinova (Gen3: 80 and 70 degree/s; Jaco: 36 and 48 degree/s), UFACTORY
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of one episode; [n] values for the n joints of the arm.
+    """Motion of one episode; values for each joint of the arm, or of both arms.
 
     Attributes:
         peak_speed: largest speed [rad/s], over all substeps.
@@ -63,8 +63,8 @@ class Motion:
         peak_jerk: largest jerk [rad/s^3], second difference of the speeds at the ends
             of the control steps.
         action_change: mean over steps and numbers of |a_t - a_(t-1)|, clipped actions.
-        hand_tilt: largest angle between the tool and straight down [rad].
-        self_contact: share of the steps in which the arm touches itself or the hand.
+        hand_tilt: largest angle between a tool and straight down [rad].
+        self_contact: share of the steps in which an arm touches itself or its hand.
     """
 
     peak_speed: tuple[float, ...]
@@ -137,4 +137,8 @@ def share_of_limits(motion: Motion, arm: str) -> dict[str, float]:
         limits or (),
         strict=False,
     )
-    return {n: float(np.divide(peak, most).max()) for n, peak, most in peaks if most}
+    return {
+        name: float(np.divide(np.reshape(peak, (-1, len(most))), most).max())
+        for name, peak, most in peaks
+        if most
+    }

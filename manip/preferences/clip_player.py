@@ -29,7 +29,8 @@ class ClipPlayer:
     def frames(
         self, clip: Clip, camera: str = WORKSPACE, width: int = 480, height: int = 360
     ) -> Generator[Array, None, None]:
-        """Draw a clip as T + 1 frames, uint8 [height, width, 3], with the hand's path.
+        """Draw a clip as T + 1 frames, uint8 [height, width, 3], with the path of the
+        first hand.
 
         They follow each other at header.control_freq frames a second.
 
@@ -37,8 +38,8 @@ class ClipPlayer:
             UserError: see `render_frames`; or the clip does not fit its task.
         """
         batch = self._restored(clip)
-        model, tool = batch.visual_model(0), batch.scene.layout.arm.tool
-        hand = batch.scene.physics.site(tool).name
+        model, robot = batch.visual_model(0), batch.scene.layout.robots[0]
+        hand = batch.scene.physics.site(robot.arm.tool).name
         return render_frames(model, clip.qpos, camera, width, height, trail=hand)
 
     def measure_again(self, clip: Clip) -> tuple[Array, Array]:

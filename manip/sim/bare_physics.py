@@ -8,10 +8,10 @@ from mujoco.rollout import Rollout
 
 from manip.compiled import jit
 from manip.sim.batch_engine import BatchEngine
-from manip.sim.control_laws import Work
+from manip.sim.control_laws import Works
 from manip.sim.control_step import control
 from manip.sim.libmujoco import mj_step1, mj_step2
-from manip.sim.robot_model import Arm, Gripper
+from manip.sim.robot_model import Robot
 from manip.sim.sim_memory import Sim, load
 from manip.sim.thread_data import thread_data
 
@@ -67,17 +67,16 @@ def _recorded(engine: BatchEngine, actions: Array) -> Array:
     memory = thread_data(scene)
     shape = engine.num_envs, len(actions) * scene.substeps, scene.physics.nu
     controls = np.zeros(shape)
-    arm, gripper = scene.layout.arm, scene.layout.gripper
-    _record(memory.sim, arm, gripper, memory.work, actions, engine.states, controls)
+    robots = scene.layout.robots
+    _record(memory.sim, robots, memory.works, actions, engine.states, controls)
     return controls
 
 
 @jit
 def _record(
     sim: Sim,
-    arm: Arm,
-    gripper: Gripper,
-    w: Work,
+    robots: tuple[Robot, ...],
+    works: Works,
     actions: Array,
     states: Array,
     controls: Array,
@@ -88,7 +87,7 @@ def _record(
         for substep in range(controls.shape[1]):
             action = actions[substep // substeps, env_id]
             mj_step1(sim.model, sim.data)
-            control(sim, arm, gripper, w, action, substep % substeps)
+            control(sim, robots, works, action, substep % substeps)
             for k in range(len(sim.ctrl)):
                 controls[env_id, substep, k] = sim.ctrl[k]
             mj_step2(sim.model, sim.data)

@@ -40,9 +40,8 @@ class BatchEngine(RowEngine):
             step_environments(
                 thread.sim,
                 self._plan,
-                layout.arm,
-                layout.gripper,
-                thread.work,
+                layout.robots,
+                thread.works,
                 actions,
                 now.states,
                 now.readings,

@@ -27,18 +27,20 @@ from manip.compiled import kernel
 Array = np.ndarray
 
 Work = Any
-"""A record from `new_work`; numba passes it as one pointer."""
+"""A record of `new_works`; numba passes it as one pointer."""
+
+Works = Any
+"""The records of all arms."""
 
 NULL_KP = 10.0
 """Null-space stiffness towards q0 [1/s^2] (control_utils.nullspace_torques)."""
 
 
-def new_work(n: int) -> Work:
-    """Build the record that the control laws of an arm with n joints read and write.
+def new_works(robots: int, n: int) -> Works:
+    """Build the records that the control laws of arms with n joints read and write.
 
     Input: q, qd, q0, mass (M), bias (h), jac (J), tool_p (p), tool_r (R), base_p (b),
     base_r (B); velocity [6], the tool's less the base site's.
-    Gains: gains [2], kp [1/s^2] and kd [1/s] of the controller.
     Goals: goal_p [3], goal_r [3, 3] of the tool in the base frame; goal_q [n].
     Desired: force [3], moment [3] of the tool; joint_acc [n] of the joints.
     Result: torque [n]. The other members hold intermediate results.
@@ -48,7 +50,6 @@ def new_work(n: int) -> Work:
         ("mass", float, (n, n)), ("bias", float, n), ("jac", float, (6, n)),
         ("tool_p", float, 3), ("tool_r", float, (3, 3)),
         ("base_p", float, 3), ("base_r", float, (3, 3)), ("velocity", float, 6),
-        ("gains", float, 2),
         ("goal_p", float, 3), ("goal_r", float, (3, 3)), ("goal_q", float, n),
         ("force", float, 3), ("moment", float, 3), ("joint_acc", float, n),
         ("torque", float, n),
@@ -56,7 +57,7 @@ def new_work(n: int) -> Work:
         ("factor", float, (n, n)), ("x", float, (6, n)),
         ("inertia", float, (6, 6)), ("angular", float, (3, 3)), ("task", float, 6),
     ]  # fmt: skip
-    return np.zeros(1, fields).view(np.recarray)[0]
+    return np.zeros(robots, fields).view(np.recarray)
 
 
 @kernel

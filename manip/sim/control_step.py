@@ -1,4 +1,4 @@
-"""The controller of one substep, compiled: read the arm, compute and apply torques.
+"""The controllers of one substep, compiled: read arms, compute and apply torques.
 
 Symbols as in `manip.sim.control_laws`.
 """
@@ -11,12 +11,13 @@ from manip.compiled import kernel
 from manip.sim.control_laws import (
     NULL_KP,
     Work,
+    Works,
     joint_torque,
     latch_pose_goal,
     osc_torque,
     pose_error,
 )
-from manip.sim.robot_model import Arm, Gripper
+from manip.sim.robot_model import Arm, Gripper, Robot
 from manip.sim.sim_memory import Sim
 
 Array = np.ndarray
@@ -24,20 +25,38 @@ Array = np.ndarray
 
 @kernel
 def control(
-    sim: Sim, arm: Arm, gripper: Gripper, w: Work, action: Array, substep: int
+    sim: Sim, robots: tuple[Robot, ...], works: Works, action: Array, substep: int
 ) -> bool:
     """Set ctrl between `mj_step1` and `mj_step2`; False if it would not be finite.
 
-    The goal is latched at the first substep of a control period, as in robosuite.
+    The action holds each robot's numbers in turn, as in robosuite.
     """
+    finite, size = True, len(action) // len(robots)
+    for k in range(len(robots)):
+        own = action[k * size : (k + 1) * size]
+        arm, gripper = robots[k]
+        finite = _control(sim, k, arm, gripper, works[k], own, substep) and finite
+    return finite
+
+
+@kernel
+def _control(
+    sim: Sim,
+    k: int,
+    arm: Arm,
+    gripper: Gripper,
+    w: Work,
+    action: Array,
+    substep: int,
+) -> bool:
+    """Control robot k. Its goal is latched at the first substep of a control period."""
     _read_arm(sim, arm, w)
     if substep == 0:
         _latch_goal(arm, w, action)
-        _drive_gripper(sim, gripper, action[-1])
-        for i in range(len(sim.peaks)):
-            sim.peaks[i] = 0.0
-    _arm_torque(arm, w)
-    return _drive_arm(sim, arm, w)
+        _drive_gripper(sim, sim.command[k], gripper, action[-1])
+        sim.peaks[:, k] = 0.0
+    _arm_torque(sim.gains, arm, w)
+    return _drive_arm(sim, sim.peaks[0, k], sim.peaks[1, k], arm, w)
 
 
 @kernel
@@ -115,40 +134,41 @@ def _latch_goal(arm: Arm, w: Work, action: Array) -> None:
 
 
 @kernel
-def _arm_torque(arm: Arm, w: Work) -> None:
+def _arm_torque(gains: Array, arm: Arm, w: Work) -> None:
     if arm.osc:
         # null space, critically damped: u = kp (q0 - q) - 2 sqrt(kp) qd
         for i in range(len(w.q)):
             w.joint_acc[i] = NULL_KP * (w.q0[i] - w.q[i])
             w.joint_acc[i] -= 2.0 * sqrt(NULL_KP) * w.qd[i]
-        pose_error(w.gains[0], w.gains[1], w)
+        pose_error(gains[0], gains[1], w)
         osc_torque(w)
         return
     for i in range(len(w.q)):  # u = kp (goal_q - q) - kd qd
-        w.joint_acc[i] = w.gains[0] * (w.goal_q[i] - w.q[i]) - w.gains[1] * w.qd[i]
+        w.joint_acc[i] = gains[0] * (w.goal_q[i] - w.q[i]) - gains[1] * w.qd[i]
     joint_torque(w)
 
 
 @kernel
-def _drive_arm(sim: Sim, arm: Arm, w: Work) -> bool:
-    """Clip the torque to the actuators' range and apply it; False if not finite."""
-    finite, n = True, len(w.torque)
-    for i in range(n):
+def _drive_arm(sim: Sim, speeds: Array, torques: Array, arm: Arm, w: Work) -> bool:
+    """Clip the torque to the actuators' range and apply it; False if not finite.
+
+    speeds, torques [n]: the peaks of the arm's joints.
+    """
+    finite = True
+    for i in range(len(w.torque)):
         finite = finite and isfinite(w.torque[i])
         torque = min(arm.high[i], max(arm.low[i], w.torque[i]))
         sim.ctrl[arm.actuator[i]] = torque
-        sim.peaks[i] = max(sim.peaks[i], abs(w.qd[i]))
-        sim.peaks[n + i] = max(sim.peaks[n + i], abs(torque))
+        speeds[i] = max(speeds[i], abs(w.qd[i]))
+        torques[i] = max(torques[i], abs(torque))
     return finite
 
 
 @kernel
-def _drive_gripper(sim: Sim, gripper: Gripper, action: float) -> None:
+def _drive_gripper(sim: Sim, command: Array, gripper: Gripper, action: float) -> None:
     """Apply command = clip(command + speed * sign(action), -1, 1), then affine."""
     sign = np.sign(action)
     for i in range(len(gripper.actuator)):
-        moved = sim.command[i] + gripper.speed[i] * sign
-        sim.command[i] = min(1.0, max(-1.0, moved))
-        sim.ctrl[gripper.actuator[i]] = (
-            gripper.bias[i] + gripper.weight[i] * sim.command[i]
-        )
+        moved = command[i] + gripper.speed[i] * sign
+        command[i] = min(1.0, max(-1.0, moved))
+        sim.ctrl[gripper.actuator[i]] = gripper.bias[i] + gripper.weight[i] * command[i]

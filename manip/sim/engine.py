@@ -99,9 +99,9 @@ class Engine(Protocol):
             env_ids: [n] int, each at most once.
             qpos: [n, nq].
             qvel: [n, nv].
-            start_pos: [n, joints], the null-space target: the arm at the episode's
+            start_pos: [n, joints], the null-space target: the arms at the episode's
                 start.
-            gripper_command: [n, actuators of the gripper] in [-1, 1].
+            gripper_command: [n, actuators of the grippers] in [-1, 1].
             fields: name -> [n, k], model fields.
             memory: name -> [n, k], the task's numbers (`Sensors.memory`).
 

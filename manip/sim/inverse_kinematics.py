@@ -44,11 +44,15 @@ class InverseKinematics(NotCopied):
 
     Args:
         scene: whose arm moves; the joints' limits are those of its model.
+
+    Raises:
+        UserError: the scene has two arms.
     """
 
     def __init__(self, scene: Scene) -> None:
-        self._model, self._arm = scene.physics, scene.layout.arm
-        self._low, self._high = scene.layout.joint_range.T
+        self._model = scene.physics
+        self._arm = scene.layout.only_robot("inverse kinematics").arm
+        self._low, self._high = scene.layout.joint_range[0].T
         self._data = mujoco.MjData(self._model)
         self._jacobian = np.zeros((6, self._model.nv))
 

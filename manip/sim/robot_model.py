@@ -1,4 +1,4 @@
-"""Read the indices and gains of a robot from its robosuite environment."""
+"""Read the indices and gains of robots from their robosuite environment."""
 
 from typing import Any, NamedTuple
 
@@ -58,16 +58,36 @@ class Gripper(NamedTuple):
     weight: Array
 
 
-def hand_kind(stock: Any) -> str:
-    """robosuite's name of the robot's gripper, such as PandaGripper."""
-    return type(stock.robots[0].gripper["right"]).__name__
+class Robot(NamedTuple):
+    """What the compiled control laws need of a robot: an arm with a gripper."""
+
+    arm: Arm
+    gripper: Gripper
 
 
-def read_arm(stock: Any) -> Arm:
-    """Read the arm of a robosuite environment's first robot."""
+def reading_prefix(number: int) -> str:
+    """What the names of a robot's readings begin with: nothing for the first robot,
+    robot1_ for the second.
+    """
+    return f"robot{number}_" if number else ""
+
+
+def hand_kind(robot: Any) -> str:
+    """robosuite's name of a robot's gripper, such as PandaGripper."""
+    return type(robot.gripper["right"]).__name__
+
+
+def read_robots(stock: Any) -> tuple[Robot, ...]:
+    """Read the robots of a robosuite environment, which are of one kind."""
     model = stock.sim.model._model
-    part = stock.robots[0].part_controllers["right"]
-    robot = stock.robots[0]
+    return tuple(
+        Robot(_read_arm(model, robot), _read_gripper(model, robot))
+        for robot in stock.robots
+    )
+
+
+def _read_arm(model: mujoco.MjModel, robot: Any) -> Arm:
+    part = robot.part_controllers["right"]
     actuator = np.array(robot._ref_arm_joint_actuator_indexes)
     dof = np.array(part.qvel_index)
     tool = lookup(model, "site", robot.gripper["right"].important_sites["grip_site"])
@@ -110,12 +130,11 @@ def _mass_addresses(model: mujoco.MjModel, dof: Array) -> Array:
     return np.maximum(table, table.T)[np.ix_(dof, dof)]
 
 
-def read_gripper(stock: Any) -> Gripper:
+def _read_gripper(model: mujoco.MjModel, robot: Any) -> Gripper:
     """Measure the gripper's law on robosuite's object: close once from command 0."""
-    robot = stock.robots[0]
     hand = robot.gripper["right"]
-    actuator = np.array(robot._ref_joint_gripper_actuator_indexes["right"], dtype=int)
-    low, high = stock.sim.model._model.actuator_ctrlrange[actuator].T
+    actuator = _indices(robot._ref_joint_gripper_actuator_indexes)
+    low, high = model.actuator_ctrlrange[actuator].T
     before = hand.current_action
     hand.current_action = np.zeros(hand.dof)
     speed = np.broadcast_to(hand.format_action(np.ones(1)), actuator.shape).copy()
@@ -125,16 +144,20 @@ def read_gripper(stock: Any) -> Gripper:
 
 def default_qpos(stock: Any) -> Array:
     """The pose [nq] that robosuite's reset randomises."""
-    robot = stock.robots[0]
     qpos = stock.sim.model._model.qpos0.copy()
-    qpos[np.array(robot._ref_joint_pos_indexes)] = robot.init_qpos
-    fingers = finger_indices(robot, "pos")
-    if len(fingers):
-        qpos[fingers] = robot.gripper["right"].init_qpos
+    for robot in stock.robots:
+        qpos[np.array(robot._ref_joint_pos_indexes)] = robot.init_qpos
+        fingers = finger_indices(robot, "pos")
+        if len(fingers):
+            qpos[fingers] = robot.gripper["right"].init_qpos
     return qpos
 
 
 def finger_indices(robot: Any, kind: str) -> Array:
-    """Indices of the finger joints in qpos (kind "pos") or qvel ("vel")."""
-    indices = getattr(robot, f"_ref_gripper_joint_{kind}_indexes")["right"]
-    return np.array(indices, dtype=int)
+    """Indices of a robot's finger joints in qpos (kind "pos") or qvel ("vel")."""
+    return _indices(getattr(robot, f"_ref_gripper_joint_{kind}_indexes"))
+
+
+def _indices(of_arm: Any) -> Array:
+    """The right arm's indices; robosuite has None for an arm without a gripper."""
+    return np.array(of_arm["right"] or [], dtype=int)

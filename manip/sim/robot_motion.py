@@ -1,10 +1,13 @@
 """Read how the robots of a batch engine moved in the last control period."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 
 from manip.arrays import namespace
 from manip.sim.not_copied import DeepCopied
+from manip.sim.robot_model import reading_prefix
 from manip.sim.row_engine import RowEngine
 from manip.sim.scene import Scene
 from manip.sim.state_row import PEAKS
@@ -28,30 +31,27 @@ class RobotMotion(DeepCopied):
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        robot = scene.stock.robots[0]
-        hand = robot.gripper["right"].naming_prefix
-        self._hand = _geoms_of(scene.physics, hand)
-        self._robot = self._hand | _geoms_of(
-            scene.physics, robot.robot_model.naming_prefix
-        )
+        self._geoms = [_robot_geoms(scene.physics, each) for each in scene.stock.robots]
 
     def read(self, engine: RowEngine) -> dict[str, Array]:
         """The motion of the last control period.
 
-        joint_vel, peak_speed [N, n] rad/s; peak_torque [N, n] N m; hand_tilt [N, 1]
-        rad between the tool's axis and straight down; self_contact [N, 1], 1 if links
-        of the arm touch one another or the hand.
+        joint_vel, peak_speed [N, k] rad/s and peak_torque [N, k] N m of the joints of
+        all arms; hand_tilt [N, 1] rad, the largest between a tool's axis and straight
+        down; self_contact [N, 1], 1 if links of an arm touch one another or their hand.
         """
         read = engine.read()
+        prefixes = [reading_prefix(number) for number in range(len(self._geoms))]
+        tilts = [hand_tilt(read[f"{prefix}eef_mat"]) for prefix in prefixes]
         return {
-            "joint_vel": read["joint_vel"],
+            "joint_vel": np.hstack([read[f"{prefix}joint_vel"] for prefix in prefixes]),
             **{name: read[name] for name in PEAKS},
-            "hand_tilt": hand_tilt(read["eef_mat"])[:, None],
+            "hand_tilt": np.max(tilts, axis=0)[:, None],
             "self_contact": self._contacts(read["qpos"])[:, None],
         }
 
     def _contacts(self, qpos: Array) -> Array:
-        """[N]: 1 where the robot touches itself in a pose of qpos [N, nq]."""
+        """[N]: 1 where a robot touches itself in a pose of qpos [N, nq]."""
         model = self._scene.physics
         data, touches = mujoco.MjData(model), np.zeros(len(qpos))
         for env_id, pose in enumerate(qpos):
@@ -59,9 +59,17 @@ class RobotMotion(DeepCopied):
             mujoco.mj_kinematics(model, data)
             mujoco.mj_collision(model, data)
             first, second = data.contact.geom.T
-            inside = self._robot[first] & self._robot[second]
-            touches[env_id] = (inside & ~(self._hand[first] & self._hand[second])).any()
+            touches[env_id] = any(
+                (robot[first] & robot[second] & ~(hand[first] & hand[second])).any()
+                for hand, robot in self._geoms
+            )
         return touches
+
+
+def _robot_geoms(model: mujoco.MjModel, robot: Any) -> tuple[Array, Array]:
+    """[ngeom] bool: the geoms of a robot's hand, and of the whole robot."""
+    hand = _geoms_of(model, robot.gripper["right"].naming_prefix)
+    return hand, hand | _geoms_of(model, robot.robot_model.naming_prefix)
 
 
 def _geoms_of(model: mujoco.MjModel, prefix: str) -> Array:

@@ -118,7 +118,8 @@ class RowEngine(NotCopied, ABC):
     def step(self, action: Array) -> Array:
         """As `Engine.step`; the action is the arm's part, then the gripper's number.
 
-        The gripper closes while its number is positive: only the sign counts.
+        The gripper closes while its number is positive: only the sign counts. The
+        numbers of a second robot follow.
         """
         actions = self._checked(action)
         with self._exclusive:
@@ -135,7 +136,7 @@ class RowEngine(NotCopied, ABC):
         env_ids = checked_env_ids(env_ids, self.num_envs)
         rows = np.tile(self._default, (len(env_ids), 1))
         self._fill(rows, "qpos", qpos)
-        start_pos = rows[:, self._columns["qpos"]][:, self.scene.layout.arm.qpos]
+        start_pos = rows[:, self._columns["qpos"]][:, self.scene.layout.joint_qpos]
         rows[:, self._columns["start_pos"]] = start_pos
         self._fill_fields(rows, fields)
         self._write(env_ids, rows)
@@ -185,12 +186,14 @@ class RowEngine(NotCopied, ABC):
 
         Always present: qpos, qvel, qacc; joint_pos, joint_vel [N, n]; gripper_qpos,
         gripper_qvel; eef_pos [N, 3] m and eef_mat [N, 9] of the grip site; hand_quat
-        [N, 4] wxyz of the hand body; gripper_command, one number an actuator;
-        gripper_closing [N], 1 once it is commanded to close fully; gripper_speed [1],
-        how much that changes in a step; gripper_narrowest [1] m between the pads when
-        shut; start_pos [N, n], the arm at the episode's start; rest_pos [1, n], its
-        default pose; joint_low, joint_high [1, n], its limits; and everything that the
-        task's `Sensors` name, fields and memory included.
+        [N, 4] wxyz of the hand body; gripper_closing [N], 1 once it is commanded to
+        close fully; rest_pos [1, n], the arm's default pose; joint_low, joint_high
+        [1, n], its limits. Those of a second robot follow, as robot1_joint_pos etc.
+
+        Once for all robots: gripper_command, one number an actuator; start_pos, the
+        arms at the episode's start; gripper_speed [1], how much gripper_closing changes
+        in a step; gripper_narrowest [1] m between the pads when shut; and everything
+        that the task's `Sensors` name, fields and memory included.
         """
         with self._exclusive:
             self._fetch()

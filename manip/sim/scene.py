@@ -53,9 +53,9 @@ class Scene(NotCopied):
         control_dt: control period [s].
         varied: entries of `physics`, or the controller's gains, that differ between
             environments besides the task's fields.
-        with_peaks: whether the readings include `peak_speed` [N, n] rad/s and
-            `peak_torque` [N, n] N m, the largest ones of each joint of the arm over
-            the substeps of the last control period.
+        with_peaks: whether the readings include `peak_speed` [N, k] rad/s and
+            `peak_torque` [N, k] N m, the largest ones of each of the k joints of the
+            arms over the substeps of the last control period.
         parked: bodies that the task places out of the way (`Sensors.parked`).
     """
 
@@ -126,7 +126,8 @@ def build_scene(
         UserError: a sensor names something that the environment's model lacks.
     """
     layout = read_scene_layout(stock, sensors)
-    coarse = fidelity == "fast" and hand_kind(stock) not in _UNSTABLE_AT_FAST_DT
+    hand = hand_kind(stock.robots[0])
+    coarse = fidelity == "fast" and hand not in _UNSTABLE_AT_FAST_DT
     dt = FAST_DT if coarse else PHYSICS_DT
     spec = _physics(stock, fidelity, dt)
     if fidelity == "fast":
@@ -180,9 +181,9 @@ def _physics(stock: Any, fidelity: Fidelity, dt: float) -> mujoco.MjSpec:
 
 def _strip(spec: mujoco.MjSpec, stock: Any, fidelity: Fidelity) -> None:
     """Delete geoms that cannot collide, and meshes that only they used."""
-    prefix = stock.robots[0].robot_model.naming_prefix
+    prefixes = tuple(robot.robot_model.naming_prefix for robot in stock.robots)
     for geom in list(spec.geoms):
-        of_arm = geom.parent.name.startswith(prefix)
+        of_arm = geom.parent.name.startswith(prefixes)
         collides = geom.contype or geom.conaffinity
         if not collides or (fidelity == "fast" and of_arm):
             spec.delete(geom)

@@ -39,12 +39,11 @@ class SceneVariation(NotCopied):
         self, scene: Scene, sensors: Sensors, quantities: Sequence[str]
     ) -> None:
         self._given = scene, sensors, quantities
-        self._arm = scene.layout.arm
         self._model = mujoco.MjModel.__copy__(scene.physics)
         self._data = mujoco.MjData(self._model)
-        self._parts = varied_parts(
-            scene.physics, sensors, self._arm, scene.layout.gripper
-        )
+        robots = scene.layout.robots
+        self._arm = robots[0].arm
+        self._parts = varied_parts(scene.physics, sensors, robots)
         self._changes = [name for name in CHANGES if name in quantities]
         for name in self._changes:
             check_change(scene.physics, self._parts, name)

@@ -21,16 +21,17 @@ class Sim(NamedTuple):
     """A thread's own MjModel and MjData as addresses, and views of their arrays.
 
     state: the places of a state row; slots: those of a readings row, which the touches
-    follow. command: of the gripper, one number an actuator. contacts: the readings of
-    the contact sensors, numbers of contacts. peaks [2 n]: the largest speed [rad/s] of
-    each of the arm's n joints in the present control period, then the largest torque
-    [N m].
+    follow. gains [2]: kp [1/s^2] and kd [1/s] of the controllers of all K robots.
+    command [K, m]: of the grippers, one number an actuator. contacts: the readings of
+    the contact sensors, numbers of contacts. peaks [2, K, n]: the largest speed [rad/s]
+    of each joint in the present control period, then the largest torque [N m].
     """
 
     model: int
     data: int
     state: Segments
     slots: Segments
+    gains: Array
     command: Array
     qpos: Array
     qvel: Array

@@ -1,12 +1,14 @@
 """Slots: where named readings lie in the arrays of MuJoCo."""
 
 from collections.abc import Mapping
+from itertools import chain
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from manip.sim.names import lookup
+from manip.sim.robot_model import reading_prefix
 from manip.sim.sensors import Sensors
 
 
@@ -20,17 +22,27 @@ class Slot(NamedTuple):
 
 
 def robot_slots(stock: Any) -> tuple[Slot, ...]:
-    """Slots of every task: whole state, pose of the grip site, rotation of the hand."""
-    model, robot = stock.sim.model._model, stock.robots[0]
-    tool = lookup(model, "site", robot.gripper["right"].important_sites["grip_site"])
-    hand = lookup(model, "body", robot.robot_model.eef_name["right"])
+    """Slots of every task: whole state, poses of grip sites, rotations of hands."""
+    model = stock.sim.model._model
+    hands = (_hand_slots(model, *each) for each in enumerate(stock.robots))
     return (
         Slot("qpos", "qpos", 0, model.nq),
         Slot("qvel", "qvel", 0, model.nv),
         Slot("qacc", "qacc", 0, model.nv),
-        Slot("eef_pos", "site_xpos", 3 * tool, 3),
-        Slot("eef_mat", "site_xmat", 9 * tool, 9),
-        Slot("hand_quat", "xquat", 4 * hand, 4),
+        *chain.from_iterable(hands),
+    )
+
+
+def _hand_slots(
+    model: mujoco.MjModel, number: int, robot: Any
+) -> tuple[Slot, Slot, Slot]:
+    tool = lookup(model, "site", robot.gripper["right"].important_sites["grip_site"])
+    hand = lookup(model, "body", robot.robot_model.eef_name["right"])
+    prefix = reading_prefix(number)
+    return (
+        Slot(f"{prefix}eef_pos", "site_xpos", 3 * tool, 3),
+        Slot(f"{prefix}eef_mat", "site_xmat", 9 * tool, 9),
+        Slot(f"{prefix}hand_quat", "xquat", 4 * hand, 4),
     )
 
 

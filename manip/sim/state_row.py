@@ -11,14 +11,14 @@ from manip.sim.slots import Slot
 Array = np.ndarray
 
 PEAKS = ("peak_speed", "peak_torque")
-"""Readings of the arm's joints over the last control period; see `Scene.with_peaks`."""
+"""Readings of the arms' joints over the last control period; see `Scene.with_peaks`."""
 
 
 def state_columns(scene: Scene) -> dict[str, slice]:
     """Part -> columns of a state row, in order: all that a step depends on.
 
     qpos [nq], qvel [nv], warmstart [nv] (the constraint solver's start, qacc of the
-    step before), start_pos [n] (the arm's joints at the start of the episode),
+    step before), start_pos (the arms' joints at the start of the episode),
     gripper_command, the model fields, the varied entries, the task's memory.
     """
     columns, start = {}, 0
@@ -37,7 +37,7 @@ def default_row(scene: Scene) -> Array:
     columns, layout = state_columns(scene), scene.layout
     row = np.zeros(max(part.stop for part in columns.values()))
     row[columns["qpos"]] = layout.qpos
-    row[columns["start_pos"]] = layout.qpos[layout.arm.qpos]
+    row[columns["start_pos"]] = layout.qpos[layout.joint_qpos]
     for drawn, stepped in zip(layout.fields, scene.physics_fields, strict=True):
         owner, slot = (scene.physics, stepped) if stepped else (scene.visual, drawn)
         row[columns[drawn.name]] = read_slot(owner, slot)
@@ -49,7 +49,8 @@ def default_row(scene: Scene) -> Array:
 def varied_default(scene: Scene, slot: Slot) -> Array:
     """[size]: the compiled values of varied entries."""
     if slot.array == GAINS:
-        return np.array([scene.layout.arm.kp, scene.layout.arm.kd])
+        arm = scene.layout.robots[0].arm
+        return np.array([arm.kp, arm.kd])
     return read_slot(scene.physics, slot)
 
 
@@ -61,7 +62,7 @@ def reading_columns(scene: Scene) -> dict[str, slice | int]:
         columns[slot.name] = slice(start, start + slot.size)
         start += slot.size
     if scene.with_peaks:
-        joints = len(scene.layout.arm.dof)
+        joints = len(scene.layout.joint_qpos)
         for name in PEAKS:
             columns[name] = slice(start, start + joints)
             start += joints
@@ -77,7 +78,7 @@ def readings_width(scene: Scene) -> int:
 
 def touch_start(scene: Scene) -> int:
     """Column of the first touch in a readings row."""
-    peaks = len(PEAKS) * len(scene.layout.arm.dof) if scene.with_peaks else 0
+    peaks = len(PEAKS) * len(scene.layout.joint_qpos) if scene.with_peaks else 0
     return sum(slot.size for slot in scene.layout.slots) + peaks
 
 
@@ -86,7 +87,7 @@ def _parts(scene: Scene) -> Iterator[tuple[str, int]]:
     yield "qpos", model.nq
     yield "qvel", model.nv
     yield "warmstart", model.nv
-    yield "start_pos", len(layout.arm.qpos)
-    yield "gripper_command", len(layout.gripper.actuator)
+    yield "start_pos", len(layout.joint_qpos)
+    yield "gripper_command", sum(len(each.gripper.actuator) for each in layout.robots)
     yield from ((slot.name, slot.size) for slot in (*layout.fields, *scene.varied))
     yield from layout.memory.items()

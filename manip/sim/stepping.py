@@ -11,10 +11,10 @@ import numpy as np
 
 from manip.compiled import jit, kernel
 from manip.sim.atomic_counter import take_number
-from manip.sim.control_laws import Work
+from manip.sim.control_laws import Works
 from manip.sim.control_step import control
 from manip.sim.libmujoco import mj_forward, mj_step1, mj_step2
-from manip.sim.robot_model import Arm, Gripper
+from manip.sim.robot_model import Robot
 from manip.sim.sim_memory import Sim, load, store
 
 Array = np.ndarray
@@ -57,7 +57,7 @@ def _within_limits(values: Array) -> bool:
 
 @kernel
 def _advance(
-    sim: Sim, plan: Plan, arm: Arm, gripper: Gripper, w: Work, action: Array
+    sim: Sim, plan: Plan, robots: tuple[Robot, ...], works: Works, action: Array
 ) -> bool:
     """Take one control period from the loaded state; False if it became non-finite."""
     for k in range(len(action)):
@@ -65,7 +65,7 @@ def _advance(
             return False
     for substep in range(plan.substeps):
         mj_step1(sim.model, sim.data)
-        if not control(sim, arm, gripper, w, action, substep):
+        if not control(sim, robots, works, action, substep):
             return False
         mj_step2(sim.model, sim.data)
         if not (_within_limits(sim.qpos) and _within_limits(sim.qvel)):
@@ -77,9 +77,8 @@ def _advance(
 def step_environments(
     sim: Sim,
     plan: Plan,
-    arm: Arm,
-    gripper: Gripper,
-    w: Work,
+    robots: tuple[Robot, ...],
+    works: Works,
     actions: Array,
     states: Array,
     readings: Array,
@@ -99,7 +98,7 @@ def step_environments(
             return
         next_states[env_id] = states[env_id]  # memory stays, which no step changes
         load(states[env_id], sim.state)
-        broken[env_id] = not _advance(sim, plan, arm, gripper, w, actions[env_id])
+        broken[env_id] = not _advance(sim, plan, robots, works, actions[env_id])
         if broken[env_id]:
             next_readings[env_id] = readings[env_id]
         else:

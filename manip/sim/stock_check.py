@@ -1,7 +1,7 @@
 """Compare a robosuite environment that a user built with what a task assumes."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from manip.errors import UserError, shown
 from manip.robot_config import RobotConfig
 from manip.sim.robosuite_factory import environment_class, make_stock
-from manip.sim.robot_model import hand_kind
+from manip.sim.robot_model import hand_kind, reading_prefix
 
 Properties = Mapping[str, Any]
 
@@ -60,11 +60,18 @@ def _reference(name: str, robot: RobotConfig) -> tuple[Properties, Properties]:
 
 def _needed(stock: Any) -> Properties:
     """What an action means: a difference makes a policy act wrongly."""
-    part = _arm_controller(stock)
     return {
         "number of robots": len(stock.robots),
-        "robot": stock.robots[0].name,
-        "gripper": hand_kind(stock),
+        **_of_each(stock, _needed_of),
+        "length of an action": int(stock.action_dim),
+    }
+
+
+def _needed_of(robot: Any) -> Properties:
+    part = _arm_controller(robot)
+    return {
+        "robot": robot.name,
+        "gripper": hand_kind(robot),
         "controller": getattr(part, "name", None),
         "controller input_type": getattr(part, "input_type", None),
         "controller input_ref_frame": getattr(part, "input_ref_frame", None),
@@ -73,20 +80,31 @@ def _needed(stock: Any) -> Properties:
         "controller input_max": _plain(part, "input_max"),
         "controller output_min": _plain(part, "output_min"),
         "controller output_max": _plain(part, "output_max"),
-        "length of an action": int(stock.action_dim),
     }
 
 
 def _adjustable(stock: Any) -> Properties:
     """How the arm follows: a policy may cope with a difference."""
-    part = _arm_controller(stock)
+    return {"control_freq": stock.control_freq, **_of_each(stock, _adjustable_of)}
+
+
+def _adjustable_of(robot: Any) -> Properties:
+    part = _arm_controller(robot)
     names = ("kp", "kd", "position_limits", "orientation_limits", "uncoupling")
-    properties = {f"controller {name}": _plain(part, name) for name in names}
-    return {"control_freq": stock.control_freq, **properties}
+    return {f"controller {name}": _plain(part, name) for name in names}
 
 
-def _arm_controller(stock: Any) -> Any:
-    return stock.robots[0].part_controllers.get("right")
+def _of_each(stock: Any, read: Callable[[Any], Properties]) -> Properties:
+    """Properties of all robots; names of a second one's begin as its readings' do."""
+    return {
+        f"{reading_prefix(number)}{name}": value
+        for number, robot in enumerate(stock.robots)
+        for name, value in read(robot).items()
+    }
+
+
+def _arm_controller(robot: Any) -> Any:
+    return robot.part_controllers.get("right")
 
 
 def _plain(part: Any, name: str) -> Any:
@@ -100,7 +118,7 @@ def _plain(part: Any, name: str) -> Any:
 
 def _differences(ours: Properties, expected: Properties) -> list[str]:
     return [
-        f"{name} is {shown(ours[name])}, expected {shown(expected[name])}"
+        f"{name} is {shown(ours.get(name))}, expected {shown(expected[name])}"
         for name in expected
-        if ours[name] != expected[name]
+        if ours.get(name) != expected[name]
     ]

@@ -9,7 +9,12 @@ import numpy as np
 from manip.sim.fields import read_slot
 from manip.sim.names import lookup
 from manip.sim.read_only import read_only
-from manip.sim.scene_layout import constant_readings, read_scene_layout, with_joints
+from manip.sim.scene_layout import (
+    SceneLayout,
+    constant_readings,
+    read_scene_layout,
+    with_joints,
+)
 from manip.sim.sensors import Sensors
 from manip.sim.slots import force_slots
 from manip.sim.touches import Side
@@ -29,7 +34,6 @@ def stock_reader(stock: Any, sensors: Sensors) -> Callable[[], dict[str, Array]]
     touches = layout.touches
     slots = (*layout.slots, *force_slots(model, sensors.forces))
     sides = [(_geom_ids(model, t.first), _geom_ids(model, t.second)) for t in touches]
-    hand = stock.robots[0].gripper["right"]
     constants = constant_readings(layout)
 
     def read() -> dict[str, Array]:
@@ -39,13 +43,22 @@ def stock_reader(stock: Any, sensors: Sensors) -> Callable[[], dict[str, Array]]
         for touch, pair in zip(touches, sides, strict=True):
             contacts = float(_contacts(data, *pair))
             named[touch.name] = np.array([min(contacts, touch.limit)])
-        command = np.broadcast_to(hand.current_action, layout.gripper.speed.shape)
-        named["gripper_command"] = command[None].copy()
-        start = stock.robots[0].part_controllers["right"].initial_joint
-        named["start_pos"] = np.array(start)[None]
+        named["gripper_command"] = np.concatenate(_commands(stock, layout))[None]
+        parts = [robot.part_controllers["right"] for robot in stock.robots]
+        starts = [part.initial_joint for part in parts]
+        named["start_pos"] = np.concatenate(starts)[None]
         return read_only(with_joints(layout, {**named, **constants}))
 
     return read
+
+
+def _commands(stock: Any, layout: SceneLayout) -> list[Array]:
+    """Of each gripper, one number an actuator; robosuite may have one for all."""
+    hands = [robot.gripper["right"] for robot in stock.robots]
+    return [
+        np.broadcast_to(hand.current_action, robot.gripper.speed.shape)
+        for hand, robot in zip(hands, layout.robots, strict=True)
+    ]
 
 
 def _contacts(data: mujoco.MjData, first: Array, second: Array) -> int:

@@ -6,7 +6,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from manip.sim.robot_model import read_arm, read_gripper
+from manip.sim.robot_model import read_robots
 from manip.sim.scene_variation import CONTROLLER
 from manip.sim.sensors import Sensors
 from manip.sim.variation import CHANGES, check_change, gains, varied_parts
@@ -38,8 +38,10 @@ class StockVariation:
         self._compiled = []
         if START_NOISE in values:
             noise = {"magnitude": _NOISE * values[START_NOISE], "type": "gaussian"}
-            self._stock.robot_configs[0]["initialization_noise"] = noise
-            self._stock.robots[0].initialization_noise = noise
+            for config in self._stock.robot_configs:
+                config["initialization_noise"] = noise
+            for robot in self._stock.robots:
+                robot.initialization_noise = noise
 
     def after_reset(self, values: Mapping[str, float]) -> None:
         """Change model and controller, which a reset builds anew or restores.
@@ -49,7 +51,7 @@ class StockVariation:
         """
         stock = self._stock
         model, data = stock.sim.model._model, stock.sim.data._data
-        parts = varied_parts(model, self._sensors, read_arm(stock), read_gripper(stock))
+        parts = varied_parts(model, self._sensors, read_robots(stock))
         changes = [name for name in CHANGES if name in values]
         for name in changes:
             check_change(model, parts, name)
@@ -60,5 +62,6 @@ class StockVariation:
             mujoco.mj_setConst(model, mujoco.MjData(model))
             mujoco.mj_forward(model, data)
         if CONTROLLER in values:
-            part = stock.robots[0].part_controllers["right"]
-            part.kp, part.kd = gains(part.kp, part.kd, values[CONTROLLER])
+            for robot in stock.robots:
+                part = robot.part_controllers["right"]
+                part.kp, part.kd = gains(part.kp, part.kd, values[CONTROLLER])

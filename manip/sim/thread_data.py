@@ -1,12 +1,11 @@
 """The memory of one simulation thread: model, data and scratch arrays."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
 
-from manip.sim.control_laws import Work, new_work
+from manip.sim.control_laws import Works, new_works
 from manip.sim.not_copied import NotCopied
 from manip.sim.scene import GAINS, Scene
 from manip.sim.sim_memory import Segments, Sim
@@ -25,7 +24,7 @@ class ThreadData(NotCopied):
     model: mujoco.MjModel
     data: mujoco.MjData
     sim: Sim
-    work: Work
+    works: Works
     fields: tuple[Array, ...]
 
 
@@ -33,22 +32,25 @@ def thread_data(scene: Scene) -> ThreadData:
     """Memory in which one more thread can step environments of the scene."""
     model = mujoco.MjModel.__copy__(scene.physics)
     data = mujoco.MjData(model)
-    arm = scene.layout.arm
-    work, peaks = new_work(len(arm.dof)), np.zeros(2 * len(arm.dof))
-    work.gains[:] = arm.kp, arm.kd
-    command = np.zeros(len(scene.layout.gripper.actuator))
+    robots, (arm, gripper) = len(scene.layout.robots), scene.layout.robots[0]
+    works = new_works(robots, len(arm.dof))
+    peaks = np.zeros((2, robots, len(arm.dof)))
+    gains = np.array([arm.kp, arm.kd])
+    command = np.zeros((robots, len(gripper.actuator)))
     fields = _fields(model, scene)
     sim = Sim(
         model=model._address,
         data=data._address,
         state=_segments(
-            *(data.qpos, data.qvel, data.qacc_warmstart, work.q0, command, *fields),
-            *(_view(work if s.array == GAINS else model, s) for s in scene.varied),
+            *(data.qpos, data.qvel, data.qacc_warmstart),
+            *(*(work.q0 for work in works), command, *fields),
+            *(gains if s.array == GAINS else _view(model, s) for s in scene.varied),
         ),
         slots=_segments(
             *(_view(data, slot) for slot in scene.layout.slots),
             *([peaks] if scene.with_peaks else []),
         ),
+        gains=gains,
         command=command,
         qpos=data.qpos,
         qvel=data.qvel,
@@ -62,7 +64,7 @@ def thread_data(scene: Scene) -> ThreadData:
         contacts=data.sensordata,
         peaks=peaks,
     )
-    return ThreadData(model, data, sim, work, tuple(fields))
+    return ThreadData(model, data, sim, works, tuple(fields))
 
 
 def _fields(model: mujoco.MjModel, scene: Scene) -> list[Array]:
@@ -75,7 +77,7 @@ def _fields(model: mujoco.MjModel, scene: Scene) -> list[Array]:
     ]
 
 
-def _view(owner: Any, slot: Slot) -> Array:
+def _view(owner: mujoco.MjModel | mujoco.MjData, slot: Slot) -> Array:
     flat: Array = getattr(owner, slot.array).reshape(-1)
     return flat[slot.start : slot.start + slot.size]
 

@@ -4,16 +4,16 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from manip.sim.names import find, lookup
-from manip.sim.robot_model import hand_kind
+from manip.sim.robot_model import hand_kind, reading_prefix
 
 _PADS = {
     "XArm7Gripper": {
-        f"{side}_fingerpad": [f"gripper0_right_{side}_finger_pad_{i}" for i in (1, 2)]
+        f"{side}_fingerpad": [f"{side}_finger_pad_{i}" for i in (1, 2)]
         for side in ("left", "right")
     }
 }
-"""Finger pads by their real names, where robosuite 1.5.2 names geoms that its model
-lacks (models/grippers/xarm7_gripper.py); its own grasp test never fires there."""
+"""Finger pads by their real names in the hand, where robosuite 1.5.2 names geoms that
+its model lacks (models/grippers/xarm7_gripper.py); its own grasp test never fires."""
 
 
 class Side(NamedTuple):
@@ -41,10 +41,7 @@ def read_touches(
 
 
 def _side(stock: Any, name: str) -> Side:
-    robot = stock.robots[0]
-    hand = robot.gripper["right"]
-    groups = hand.important_geoms | _PADS.get(hand_kind(stock), {})
-    groups["arm"] = robot.robot_model.contact_geoms
+    groups = _robot_groups(stock)
     if name in groups:
         return Side(tuple(groups[name]), None)
     model = stock.sim.model._model
@@ -52,3 +49,18 @@ def _side(stock: Any, name: str) -> Side:
         return Side((name,), None)
     lookup(model, "body", name)
     return Side((), name)
+
+
+def _robot_groups(stock: Any) -> dict[str, list[str]]:
+    """Group -> geoms of the robots: those of the hands, and the links of the arms.
+
+    Names of a second robot's groups begin as those of its readings.
+    """
+    named: dict[str, list[str]] = {}
+    for number, robot in enumerate(stock.robots):
+        hand, pads = robot.gripper["right"], _PADS.get(hand_kind(robot), {})
+        groups = hand.important_geoms | hand.correct_naming(pads)
+        groups["arm"] = robot.robot_model.contact_geoms
+        prefix = reading_prefix(number)
+        named |= {prefix + group: geoms for group, geoms in groups.items()}
+    return named

@@ -4,7 +4,7 @@ Each function changes an MjModel in place; `mj_setConst` then computes the const
 that MuJoCo derives from it. The same functions serve the batch engine and robosuite.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -12,7 +12,7 @@ import numpy as np
 
 from manip.errors import UserError
 from manip.sim.names import lookup
-from manip.sim.robot_model import Arm, Gripper
+from manip.sim.robot_model import Robot
 from manip.sim.sensors import Sensors
 
 Array = np.ndarray
@@ -23,8 +23,8 @@ class Varied(NamedTuple):
 
     Attributes:
         bodies: the task's objects, with all bodies below them.
-        dofs: of the arm.
-        fingers: actuators of the gripper.
+        dofs: of the arms.
+        fingers: actuators of the grippers.
     """
 
     bodies: Array
@@ -33,20 +33,26 @@ class Varied(NamedTuple):
 
 
 def varied_parts(
-    model: mujoco.MjModel, sensors: Sensors, arm: Arm, gripper: Gripper
+    model: mujoco.MjModel, sensors: Sensors, robots: Sequence[Robot]
 ) -> Varied:
     """What varies in a model: the bodies that a task reads and does not park, if they
-    can move and are no part of the robot; the arm; the gripper.
+    can move and are no part of a robot; the arms; the grippers.
     """
+    arms = [robot.arm for robot in robots]
+    of_robots = {arm.root for arm in arms}
     names = [n for n in sensors.bodies.values() if n not in sensors.parked]
     roots = [lookup(model, "body", name) for name in names]
     inside = [body for body in range(model.nbody) if _is_below(model, body, roots)]
     moving = [
         body
         for body in inside
-        if model.body_weldid[body] and model.body_rootid[body] != arm.root
+        if model.body_weldid[body] and model.body_rootid[body] not in of_robots
     ]
-    return Varied(np.array(moving, int), arm.dof, gripper.actuator)
+    return Varied(
+        np.array(moving, int),
+        np.concatenate([arm.dof for arm in arms]),
+        np.concatenate([robot.gripper.actuator for robot in robots]),
+    )
 
 
 def _is_below(model: mujoco.MjModel, body: int, roots: list[int]) -> bool:
@@ -86,12 +92,12 @@ def scale_friction(model: mujoco.MjModel, parts: Varied, factor: float) -> None:
 
 
 def add_damping(model: mujoco.MjModel, parts: Varied, damping: float) -> None:
-    """Add damping [N m s/rad] to the joints of the arm."""
+    """Add damping [N m s/rad] to the joints of the arms."""
     model.dof_damping[parts.dofs] += damping
 
 
 def scale_grip(model: mujoco.MjModel, parts: Varied, factor: float) -> None:
-    """Multiply the force of the gripper's actuators, and the limit of it."""
+    """Multiply the force of the grippers' actuators, and the limit of it."""
     for array in (model.actuator_gainprm, model.actuator_biasprm):
         array[parts.fingers] *= factor
     model.actuator_forcerange[parts.fingers] *= factor

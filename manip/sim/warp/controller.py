@@ -20,10 +20,13 @@ class Controller:
     Attributes:
         state: the law's state, a `LawState`.
         command: [N, k] float32, the gripper's command for each actuator.
+
+    Raises:
+        UserError: the scene has two robots.
     """
 
     def __init__(self, scene: Scene, data: Any) -> None:
-        arm, gripper = scene.layout.arm, scene.layout.gripper
+        arm, gripper = scene.layout.only_robot("MuJoCo Warp")
         mass = mass_addresses(scene.physics, data, arm.dof)
         self._arm, self._data = arm_model(arm, mass), data
         self._sim = arm_data(data)
