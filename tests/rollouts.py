@@ -13,10 +13,16 @@ from manip.sim.scene import Scene
 Array = np.ndarray
 
 
-def actions(steps: int, num_envs: int, seed: int = 0) -> Tensor:
-    """[steps, N, 7] that do not depend on N in the environments they share."""
+def actions(
+    steps: int, num_envs: int, seed: int = 0, scene: Scene | None = None
+) -> Tensor:
+    """[steps, N, 7] that do not depend on N in the environments they share.
+
+    With a scene 7 numbers, or what the action takes if it is more.
+    """
+    size = max(7, scene.layout.action_dim if scene else 0)
     rngs = [np.random.default_rng([seed, env_id]) for env_id in range(num_envs)]
-    drawn = [rng.uniform(-1, 1, (steps, 7)).astype(np.float32) for rng in rngs]
+    drawn = [rng.uniform(-1, 1, (steps, size)).astype(np.float32) for rng in rngs]
     return torch.from_numpy(np.stack(drawn, axis=1))
 
 

@@ -5,9 +5,11 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from manip.sim.robot_model import Robot, reading_prefix
 from manip.sim.scene import Scene
 from manip.tasks.tool_hang import ToolHang
 from manip.tasks.tool_hang_measures import BASE, CORNER
+from manip.tasks.two_arm_peg_in_hole import TwoArmPegInHole
 from manip.tasks.wipe import TABLE
 from manip.tasks.wipe_markers import MARKERS
 
@@ -20,15 +22,27 @@ def wxyz_to_xyzw(quaternion: Array) -> Array:
 
 Reading = Callable[[dict[str, Array], Scene], Array]
 
-ROBOT_READINGS: dict[str, Reading] = {
-    "robot0_joint_pos": lambda r, s: r["joint_pos"][0],
-    "robot0_joint_vel": lambda r, s: r["joint_vel"][0],
-    "robot0_joint_acc": lambda r, s: r["qacc"][0, s.layout.robots[0].arm.dof],
-    "robot0_eef_pos": lambda r, s: r["eef_pos"][0],
-    "robot0_eef_quat": lambda r, s: wxyz_to_xyzw(r["hand_quat"][0]),
-    "robot0_gripper_qpos": lambda r, s: r["gripper_qpos"][0],
-    "robot0_gripper_qvel": lambda r, s: r["gripper_qvel"][0],
-}
+
+def robot_readings(scene: Scene) -> dict[str, Reading]:
+    """What robosuite observes of the robots, but what follows from it."""
+    return {
+        f"robot{number}_{name}": read
+        for number, robot in enumerate(scene.layout.robots)
+        for name, read in _of_robot(reading_prefix(number), robot).items()
+        if scene.stock.robots[number].has_gripper["right"] or "gripper" not in name
+    }
+
+
+def _of_robot(prefix: str, robot: Robot) -> dict[str, Reading]:
+    return {
+        "joint_pos": lambda r, s: r[f"{prefix}joint_pos"][0],
+        "joint_vel": lambda r, s: r[f"{prefix}joint_vel"][0],
+        "joint_acc": lambda r, s: r["qacc"][0, robot.arm.dof],
+        "eef_pos": lambda r, s: r[f"{prefix}eef_pos"][0],
+        "eef_quat": lambda r, s: wxyz_to_xyzw(r[f"{prefix}hand_quat"][0]),
+        "gripper_qpos": lambda r, s: r[f"{prefix}gripper_qpos"][0],
+        "gripper_qvel": lambda r, s: r[f"{prefix}gripper_qvel"][0],
+    }
 
 
 def turned(quaternion: Array) -> Rotation:
@@ -139,6 +153,25 @@ OBJECT_READINGS: dict[str, dict[str, Reading]] = {
         **pose_readings("tool", "tool", np.zeros(3)),
         "frame_is_assembled": hanging("assembled"),
         "tool_on_frame": hanging("hung"),
+    },
+    "TwoArmLift": {
+        "pot_pos": lambda r, s: r["pot_pos"][0],
+        "pot_quat": lambda r, s: wxyz_to_xyzw(r["pot_quat"][0]),
+        "handle0_xpos": lambda r, s: r["handle0_pos"][0],
+        "handle1_xpos": lambda r, s: r["handle1_pos"][0],
+        "gripper0_to_handle0": lambda r, s: r["handle0_pos"][0] - r["eef_pos"][0],
+        "gripper1_to_handle1": lambda r, s: (
+            r["handle1_pos"][0] - r["robot1_eef_pos"][0]
+        ),
+    },
+    "TwoArmPegInHole": {
+        "hole_pos": lambda r, s: r["hole_pos"][0],
+        "hole_quat": lambda r, s: wxyz_to_xyzw(r["hole_quat"][0]),
+        "peg_to_hole": lambda r, s: r["hole_pos"][0] - r["peg_pos"][0],
+        "peg_quat": lambda r, s: wxyz_to_xyzw(r["peg_quat"][0]),
+        "angle": lambda r, s: TwoArmPegInHole().measure(r)["cos"][0],
+        "t": lambda r, s: TwoArmPegInHole().measure(r)["along"][0],
+        "d": lambda r, s: TwoArmPegInHole().measure(r)["aside"][0],
     },
     "Wipe": {
         "proportion_wiped": lambda r, s: r["was_wiped"].mean(),

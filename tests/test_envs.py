@@ -116,7 +116,7 @@ def test_native_returns_what_stock_returns(
     theirs = TaskEnv(StockBatch(task, stock=scene.stock, reward=reward, seed=11))
     ours = native(task, scene, 2, reward=reward)
     begin_together(ours, theirs)
-    for move in actions(10, 1):
+    for move in actions(10, 1, scene=scene):
         step_together(ours, theirs, move[:, : ours.batch.action_dim])
 
 

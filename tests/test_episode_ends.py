@@ -39,7 +39,7 @@ def tiny_scene(scene_of) -> Scene:
 
 
 def test_a_time_limit_is_truncated(task: Task, scene: Scene) -> None:
-    steps = run(native(task, scene, 3, horizon=4), actions(9, 3))
+    steps = run(native(task, scene, 3, horizon=4), actions(9, 3, scene=scene))
     ends = [step % 4 == 3 for step in range(9)]
     for name in "truncated", "done":
         flags = stacked(steps, "next", name)[:, :, 0]
@@ -96,7 +96,7 @@ def test_success_ends_nothing(tiny_scene: Scene) -> None:
 
 
 def test_the_last_observation_stored_is_the_true_one(task: Task, scene: Scene) -> None:
-    moves = actions(6, 3)
+    moves = actions(6, 3, scene=scene)
     short = run(native(task, scene, 3, horizon=6), moves)
     long = run(native(task, scene, 3, horizon=99), moves)
     for name in "observation", "reward", "success", "milestones", "reward_terms":
@@ -177,7 +177,7 @@ def test_a_diverged_environment_is_cut_off_and_restarts(
     part: int, task: Task, scene: Scene
 ) -> None:
     faulty, healthy = (native(task, scene, 3) for _ in range(2))
-    moves = actions(4, 3)[..., : scene.layout.action_dim]
+    moves = actions(4, 3, scene=scene)[..., : scene.layout.action_dim]
     expected_steps = run(healthy, moves)
     moves = moves.clone()
     moves[2, 1, part] = torch.nan

@@ -42,8 +42,10 @@ def observed(env, moves: Tensor) -> Tensor:
 def test_episodes_do_not_depend_on_num_envs_and_threads(
     task: Task, scene: Scene
 ) -> None:
-    few = observed(native(task, scene, 4, horizon=3), actions(7, 4))
-    many = observed(native(task, scene, 8, horizon=3, threads=2), actions(7, 8))
+    few = observed(native(task, scene, 4, horizon=3), actions(7, 4, scene=scene))
+    many = observed(
+        native(task, scene, 8, horizon=3, threads=2), actions(7, 8, scene=scene)
+    )
     assert torch.equal(few, many[:, :4])
 
 
@@ -57,7 +59,7 @@ def test_every_episode_is_another(task: Task, scene: Scene) -> None:
 
 
 def test_a_seed_replays_its_episodes(task: Task, scene: Scene) -> None:
-    env, moves = native(task, scene, 3, horizon=3), actions(5, 3)
+    env, moves = native(task, scene, 3, horizon=3), actions(5, 3, scene=scene)
     env.set_seed(7)
     first = observed(env, moves)
     env.set_seed(8)
@@ -71,10 +73,10 @@ def test_a_seed_replays_its_episodes(task: Task, scene: Scene) -> None:
 
 def test_a_seed_replays_in_stock(task: Task, scene: Scene) -> None:
     env = TaskEnv(StockBatch(task, stock=scene.stock, horizon=2, seed=7))
-    first = observed(env, actions(4, 1))
+    first = observed(env, actions(4, 1, scene=scene))
     later = env.reset()["observation"]
     env.set_seed(7)
-    assert torch.equal(observed(env, actions(4, 1)), first)
+    assert torch.equal(observed(env, actions(4, 1, scene=scene)), first)
     assert not torch.isclose(later, first).all(-1).any()
     env.set_seed(8)
     assert not torch.isclose(env.reset()["observation"], first).all(-1).any()
@@ -89,7 +91,7 @@ def test_restart_begins_the_first_episode_again(task: Task, scene: Scene) -> Non
 
 
 def test_a_saved_environment_goes_on_where_it_was(task: Task, scene: Scene) -> None:
-    env, moves = native(task, scene, 3, horizon=4, seed=3), actions(9, 3)
+    env, moves = native(task, scene, 3, horizon=4, seed=3), actions(9, 3, scene=scene)
     first = observed(env, moves[:6])
     saved = env.batch.save_state()
     rest = observed_from(env, moves[6:])

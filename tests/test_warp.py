@@ -41,6 +41,12 @@ def both(task: Task, scene: Scene, num_envs: int) -> tuple[BatchEngine, WarpEngi
     return engines
 
 
+def test_two_robots_are_refused() -> None:
+    scene = load_scene("TwoArmPegInHole", load_task("TwoArmPegInHole").sensors)
+    with pytest.raises(UserError, match="MuJoCo Warp does not support 2 robots"):
+        on_warp(scene, 1)
+
+
 def assert_same(ours: WarpEngine, theirs: WarpEngine, env_ids=slice(None)) -> None:
     a, b = ours.save(env_ids), theirs.save(env_ids)
     np.testing.assert_array_equal(a.states, b.states)
