@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from manip.envs.episode_streams import EpisodeStreams
-from manip.envs.task import Measures, Start, Task, Weights
+from manip.envs.task import Measures, Start, Task, Waypoint, Weights
 from manip.sim.scene import Scene
 from manip.sim.sensors import Sensors
 from manip.tasks import tool_hang_rewards as rewards
@@ -24,6 +24,7 @@ from manip.tasks.experts.tool_hang_expert import hang_tool
 from manip.tasks.object_measures import tilt
 from manip.tasks.rotations import yaw_quaternion
 from manip.tasks.tool_hang_measures import FINGERS, measure_parts, tip_depth
+from manip.tasks.tool_hang_waypoints import NAMES, place_parts
 
 Array = np.ndarray
 
@@ -73,6 +74,7 @@ class ToolHang(Task):
         "hang",
         "success",
     )
+    waypoint_names = NAMES
     weights: ClassVar[Weights] = rewards.WEIGHTS
 
     def sample_start(self, scene: Scene, streams: EpisodeStreams) -> Start:
@@ -86,6 +88,14 @@ class ToolHang(Task):
         turn = yaw_quaternion(_yaw(streams, TOOL_YAW))
         qpos[:, scene.free_qpos("tool_root")] = np.hstack([tool, turn])
         return Start(qpos)
+
+    def sample_waypoint(
+        self, milestone: str, scene: Scene, streams: EpisodeStreams
+    ) -> Waypoint:
+        """See `manip.tasks.tool_hang_waypoints`."""
+        start = self.sample_start(scene, streams)
+        frame, tool = (scene.free_qpos(f"{name}_root") for name in ("frame", "tool"))
+        return place_parts(milestone, streams, start, frame, tool)
 
     def measure(self, read: Measures) -> Measures:
         """See `measure_parts`."""
