@@ -56,6 +56,15 @@ def grasp(
     return Waypoint(start, grip + offset, tool_rotation(turned, tilt))
 
 
+def above(streams: EpisodeStreams, start: Start, position: Array) -> Waypoint:
+    """The open hand, 15 to 25 cm above positions [n, 3] m or nearer to the robot."""
+    low, high = np.array([-0.15, -0.05, 0.15]), np.array([0.0, 0.05, 0.25])
+    offset = streams.uniform(low, high, 3)
+    yaw = REST_YAW + streams.uniform(-0.3, 0.3, 1)[:, 0]
+    turned = tool_rotation(yaw, streams.normal(SPREAD.tilt, 2))
+    return Waypoint(start, position + offset, turned, closed=False)
+
+
 def nearest_yaw(yaw: Array, symmetry: int) -> Array:
     """[n] rad: of `symmetry` evenly spaced equivalents of `yaw`, the nearest to rest.
 

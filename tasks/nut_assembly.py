@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from manip.envs.episode_streams import EpisodeStreams
-from manip.envs.task import Measures, Start, Task, Waypoint, Weights
+from manip.envs.task import Measures, Start, Waypoint, Weights
 from manip.sim.scene import Scene
 from manip.sim.sensors import Sensors
 from manip.tasks import nut_assembly_rewards as rewards
@@ -28,8 +28,9 @@ from manip.tasks.nut_assembly_measures import (
     measure_nut,
     on_peg_and_clear,
 )
-from manip.tasks.nut_assembly_waypoints import NAMES, Nut, place_nut
+from manip.tasks.nut_assembly_waypoints import NAMES, Nut, place_nut, rest_on_peg
 from manip.tasks.object_measures import object_measures
+from manip.tasks.object_task import ObjectTask
 from manip.tasks.placement import PARKED
 from manip.tasks.rotations import cos_sin, yaw_angle, yaw_quaternion
 
@@ -42,11 +43,11 @@ START_LOW, START_HIGH = np.array([-0.115, 0.11, 0.89]), np.array([-0.11, 0.225, 
 mirrored in y (robosuite/environments/manipulation/nut_assembly.py)."""
 
 
-class OneNut(Task):
+class OneNut(ObjectTask):
     """Put a nut over its peg; see the module's docstring for the numbers.
 
     Attributes:
-        nut, other: bodies of the nut to move, and of the one that is parked.
+        other: body of the nut that is parked.
         side: 1 where the nut starts at positive y, else -1.
         peg_radius: half width [m] of the peg.
         play: largest distance [m] of the nut's centre from the peg's axis at which it
@@ -55,7 +56,6 @@ class OneNut(Task):
         fits: number of yaws in which it fits over its peg; 0 for any.
     """
 
-    nut: ClassVar[str]
     other: ClassVar[str]
     side: ClassVar[int]
     peg_radius: ClassVar[float]
@@ -72,7 +72,7 @@ class OneNut(Task):
     def sample_start(self, scene: Scene, streams: EpisodeStreams) -> Start:
         """Draw the nut's pose; see the module's docstring."""
         qpos = start_qpos(scene, streams)
-        qpos[:, scene.free_qpos(self.nut)] = self.sample_pose(streams)
+        qpos[:, scene.free_qpos(self.body)] = self.sample_pose(streams)
         qpos[:, scene.free_qpos(self.other)] = PARKED
         return Start(qpos)
 
@@ -82,13 +82,20 @@ class OneNut(Task):
         turn = yaw_quaternion(streams.uniform(0, 2 * np.pi, 1)[:, 0])
         return np.concatenate([place, turn], axis=1)
 
-    def sample_waypoint(
-        self, milestone: str, scene: Scene, streams: EpisodeStreams
+    @property
+    def _nut(self) -> Nut:
+        return Nut(self.side, self.play, self.handle, self.fits)
+
+    def place_in_hand(
+        self, milestone: str, scene: Scene, streams: EpisodeStreams, start: Start
     ) -> Waypoint:
         """See `manip.tasks.nut_assembly_waypoints`."""
-        body = scene.free_qpos(self.nut)
-        nut = Nut(body, self.side, self.play, self.handle, self.fits)
-        return place_nut(nut, milestone, streams, self.sample_start(scene, streams))
+        body = scene.free_qpos(self.body)
+        return place_nut(self._nut, milestone, streams, start, body)
+
+    def sample_rest(self, streams: EpisodeStreams) -> Array:
+        """[n, 7]: qpos of the nut that lies around its peg."""
+        return rest_on_peg(self._nut, streams)
 
     def measure(self, read: Measures) -> Measures:
         """As `measure_nut`, and whether the nut is on its peg, or fits over it.
@@ -181,7 +188,7 @@ class NutAssemblyRound(OneNut):
 
     robosuite_name = "NutAssemblyRound"
     sensors = nut_sensors("RoundNut", "peg2", other="SquareNut_main")
-    nut, other, side = "RoundNut_main", "SquareNut_main", -1
+    body, other, side = "RoundNut_main", "SquareNut_main", -1
     peg_radius, play, handle, fits = 0.02, 0.01, 0.06, 0
 
 
@@ -190,7 +197,7 @@ class NutAssemblySquare(OneNut):
 
     robosuite_name = "NutAssemblySquare"
     sensors = nut_sensors("SquareNut", "peg1", other="RoundNut_main")
-    nut, other, side = "SquareNut_main", "RoundNut_main", 1
+    body, other, side = "SquareNut_main", "RoundNut_main", 1
     peg_radius, play, handle, fits = 0.016, 0.006, 0.054, 4
 
     def observe(self, m: Measures) -> dict[str, Array]:

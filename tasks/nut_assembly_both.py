@@ -26,6 +26,7 @@ from manip.tasks.nut_assembly import (
     OneNut,
     nut_sensors,
 )
+from manip.tasks.nut_assembly_waypoints import NAMES
 from manip.tasks.one_at_a_time import OneAtATime, of_all, sensors_of, staged_reward
 
 Array = np.ndarray
@@ -49,6 +50,7 @@ class NutAssembly(OneAtATime):
     proprioception = OneNut.proprioception
     horizon = 350
     milestone_names = ("near", "grasp", "lift", "over", "on_peg", "one", "both")
+    waypoint_names = (*NAMES, "one")
     weights: ClassVar[Weights] = {
         "shaped": rewards.WEIGHTS["shaped"],
         "stock": {"staged": 0.35, "done": 1.0},
@@ -58,7 +60,7 @@ class NutAssembly(OneAtATime):
         """Draw the pose of each nut as its own task does."""
         qpos = start_qpos(scene, streams)
         for task in self.parts.values():
-            qpos[:, scene.free_qpos(task.nut)] = task.sample_pose(streams)
+            qpos[:, scene.free_qpos(task.body)] = task.sample_pose(streams)
         return Start(qpos)
 
     def stock_terms(self, m: Measures) -> dict[str, Array]:

@@ -30,24 +30,25 @@ HEIGHTS = {
     "lift": (REST + 0.035, REST + 0.1),
     "over": (TOP + 0.015, TOP + 0.06),
     "on_peg": (SUCCESS_HEIGHT + 0.005, TOP - 0.005),
+    "rest": (REST + 0.0005, REST + 0.001),
 }
 """Least and greatest height [m] of the nut's centre."""
+ON_PEG = ("on_peg", "rest")
+"""Heights at which the peg is in the nut."""
 MISALIGNED = 0.03
 """Greatest yaw [rad] of a nut on its peg, from one in which it fits."""
 
 
 class Nut(NamedTuple):
-    """A nut: its pose in qpos, its peg, and how it fits over it.
+    """A nut: its peg, and how it fits over it.
 
     Attributes:
-        qpos: entries of its free body.
         side: 1 if its peg is at positive y, else -1.
         play: as in `OneNut`.
         handle: distance [m] of the handle's centre from the nut's.
         fits: number of yaws in which it fits over its peg; 0 for any.
     """
 
-    qpos: slice
     side: int
     play: float
     handle: float
@@ -55,17 +56,33 @@ class Nut(NamedTuple):
 
 
 def place_nut(
-    nut: Nut, milestone: str, streams: EpisodeStreams, start: Start
+    nut: Nut, milestone: str, streams: EpisodeStreams, start: Start, body: slice
 ) -> Waypoint:
-    """Put a nut, which is at its start, into the hand at a milestone."""
+    """Put a nut, which is at its start, into the hand at a milestone.
+
+    body: entries of its free body in qpos.
+    """
     qpos = start.qpos
-    spot = _spot(nut, milestone, streams, qpos[:, nut.qpos][:, :2])
-    yaw = _yaw(nut, milestone, streams)
-    position = np.column_stack([spot, streams.uniform(*HEIGHTS[milestone], 1)])
-    qpos[:, nut.qpos] = np.hstack([position, yaw_quaternion(yaw)])
+    position, yaw = _pose(nut, milestone, streams, qpos[:, body][:, :2])
+    qpos[:, body] = np.hstack([position, yaw_quaternion(yaw)])
     towards = np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)])
     grip = position + (nut.handle + OUTWARDS) * towards
     return grasp(streams, start, grip, nearest_yaw(yaw + np.pi / 2, 2), GRASP)
+
+
+def rest_on_peg(nut: Nut, streams: EpisodeStreams) -> Array:
+    """[n, 7]: qpos of a nut that lies around its peg."""
+    position, yaw = _pose(nut, "rest", streams, PEG)
+    return np.hstack([position, yaw_quaternion(yaw)])
+
+
+def _pose(
+    nut: Nut, milestone: str, streams: EpisodeStreams, first: Array
+) -> tuple[Array, Array]:
+    """[n, 3] m and [n] rad: the nut's centre and yaw; first: as in `_spot`."""
+    spot = _spot(nut, milestone, streams, first)
+    yaw = _yaw(nut, milestone, streams)
+    return np.column_stack([spot, streams.uniform(*HEIGHTS[milestone], 1)]), yaw
 
 
 def _spot(nut: Nut, milestone: str, streams: EpisodeStreams, first: Array) -> Array:
@@ -75,14 +92,14 @@ def _spot(nut: Nut, milestone: str, streams: EpisodeStreams, first: Array) -> Ar
         return first
     if milestone == "lift":
         return first + (peg - first) * unit
-    aside = {"over": 0.025, "on_peg": nut.play / 2}[milestone]
+    aside = 0.025 if milestone == "over" else nut.play / 2
     return peg + aside * (unit - 0.5) * np.sqrt(2)
 
 
 def _yaw(nut: Nut, milestone: str, streams: EpisodeStreams) -> Array:
     """[n] rad: the nut's yaw."""
     unit = streams.uniform(0, 1, 2)
-    if milestone != "on_peg" or not nut.fits:
+    if milestone not in ON_PEG or not nut.fits:
         return 2 * np.pi * unit[:, 0]
     fitting = np.floor(nut.fits * unit[:, 0]) * 2 * np.pi / nut.fits
     return fitting + MISALIGNED * (2 * unit[:, 1] - 1)

@@ -15,9 +15,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from manip.envs.task import Measures, Task
+from manip.envs.episode_streams import EpisodeStreams
+from manip.envs.task import Measures, Task, Waypoint
 from manip.rewards.kernels import near
+from manip.sim.scene import Scene
 from manip.sim.sensors import Sensors
+from manip.tasks.object_task import ObjectTask
+from manip.tasks.one_at_a_time_waypoints import after_number, one_in_hand
 
 Array = np.ndarray
 
@@ -34,9 +38,25 @@ class OneAtATime(Task):
         object_pos: the position of the object among the measures of its task.
     """
 
-    parts: ClassVar[Mapping[str, Task]]
+    parts: ClassVar[Mapping[str, ObjectTask]]
     centre: ClassVar[Array]
     object_pos: ClassVar[str]
+
+    def sample_waypoint(
+        self, milestone: str, scene: Scene, streams: EpisodeStreams
+    ) -> Waypoint:
+        """See `manip.tasks.one_at_a_time_waypoints`."""
+        parts, start = list(self.parts.values()), self.sample_start(scene, streams)
+        counts = self._counts
+        if milestone not in counts:
+            return one_in_hand(parts, milestone, scene, streams, start)
+        number = 1 + counts.index(milestone)
+        return after_number(parts, number, scene, streams, start)
+
+    @property
+    def _counts(self) -> tuple[str, ...]:
+        """The milestones that count which number of objects is done, from 1 to K."""
+        return self.milestone_names[-len(self.parts) :]
 
     @property
     def part(self) -> Task:
@@ -104,12 +124,11 @@ class OneAtATime(Task):
 
     def milestones(self, m: Measures) -> dict[str, Array]:
         """Those of the active object, then how many objects are done."""
-        names = self.milestone_names
         flags, number = self.part.milestones(m), m["done"].sum(axis=1)
-        counts = names[-len(self.parts) :]
+        own = self.milestone_names[: -len(self.parts)]
         return {
-            **{name: flags[name] for name in names[: -len(self.parts)]},
-            **{name: number > index for index, name in enumerate(counts)},
+            **{name: flags[name] for name in own},
+            **{name: number > index for index, name in enumerate(self._counts)},
         }
 
     def visible_measures(self, m: Measures) -> dict[str, Array]:

@@ -17,7 +17,7 @@ from typing import ClassVar
 import numpy as np
 
 from manip.envs.episode_streams import EpisodeStreams
-from manip.envs.task import Measures, Start, Task, Waypoint, Weights
+from manip.envs.task import Measures, Start, Waypoint, Weights
 from manip.sim.scene import Scene
 from manip.sim.sensors import Sensors
 from manip.tasks import pick_place_rewards as rewards
@@ -29,9 +29,10 @@ from manip.tasks.arm import (
 )
 from manip.tasks.experts.pick_place_expert import pick_and_place
 from manip.tasks.object_measures import object_measures
+from manip.tasks.object_task import ObjectTask
 from manip.tasks.pick_place_items import BIN, ITEMS, standing, start_spots
 from manip.tasks.pick_place_measures import WALL, measure_object
-from manip.tasks.pick_place_waypoints import NAMES, place_object
+from manip.tasks.pick_place_waypoints import NAMES, place_object, stand_in_place
 from manip.tasks.placement import PARKED
 from manip.tasks.rotations import cos_sin, yaw_angle
 
@@ -60,7 +61,7 @@ def _sensors(item: str) -> Sensors:
     return replace(own, bodies=bodies, parked=tuple(parked.values()))
 
 
-class OneObject(Task):
+class OneObject(ObjectTask):
     """Carry `item` to its place; see the module's docstring for the numbers."""
 
     item: ClassVar[str]
@@ -76,16 +77,20 @@ class OneObject(Task):
         spots = start_spots(streams)[self.item]
         for name in ITEMS:
             qpos[:, scene.free_qpos(f"{name}_main")] = PARKED
-        body = scene.free_qpos(f"{self.item}_main")
+        body = scene.free_qpos(self.body)
         qpos[:, body] = standing(streams, self.item, spots)
         return Start(qpos)
 
-    def sample_waypoint(
-        self, milestone: str, scene: Scene, streams: EpisodeStreams
+    def place_in_hand(
+        self, milestone: str, scene: Scene, streams: EpisodeStreams, start: Start
     ) -> Waypoint:
         """See `manip.tasks.pick_place_waypoints`."""
-        start = self.sample_start(scene, streams)
-        return place_object(self.item, milestone, streams, start, scene)
+        body = scene.free_qpos(self.body)
+        return place_object(self.item, milestone, streams, start, body)
+
+    def sample_rest(self, streams: EpisodeStreams) -> Array:
+        """[n, 7]: qpos of the object that stands in its quarter of the bin."""
+        return stand_in_place(self.item, streams)
 
     def measure(self, read: Measures) -> Measures:
         """See `measure_object`."""
@@ -159,7 +164,7 @@ class PickPlaceMilk(OneObject):
     """The milk carton."""
 
     robosuite_name = "PickPlaceMilk"
-    item = "Milk"
+    item, body = "Milk", "Milk_main"
     sensors = _sensors("Milk")
 
 
@@ -167,7 +172,7 @@ class PickPlaceBread(OneObject):
     """The loaf of bread."""
 
     robosuite_name = "PickPlaceBread"
-    item = "Bread"
+    item, body = "Bread", "Bread_main"
     sensors = _sensors("Bread")
 
 
@@ -175,7 +180,7 @@ class PickPlaceCereal(OneObject):
     """The cereal box, which fits between the fingers one way only."""
 
     robosuite_name = "PickPlaceCereal"
-    item = "Cereal"
+    item, body = "Cereal", "Cereal_main"
     sensors = _sensors("Cereal")
 
 
@@ -183,5 +188,5 @@ class PickPlaceCan(OneObject):
     """The can."""
 
     robosuite_name = "PickPlaceCan"
-    item = "Can"
+    item, body = "Can", "Can_main"
     sensors = _sensors("Can")

@@ -33,6 +33,7 @@ from manip.tasks.pick_place import (
 )
 from manip.tasks.pick_place_items import BIN, standing, start_spots
 from manip.tasks.pick_place_measures import over_quarter
+from manip.tasks.pick_place_waypoints import NAMES
 from manip.tasks.rotations import cos_sin, yaw_angle
 
 Array = np.ndarray
@@ -58,6 +59,7 @@ class PickPlace(OneAtATime):
         *("near", "grasp", "lift", "across", "over"),
         *("one", "two", "three", "all"),
     )
+    waypoint_names = (*NAMES, "one", "two", "three")
     weights: ClassVar[Weights] = {
         "shaped": rewards.WEIGHTS["shaped"],
         "stock": {"staged": 0.175, "done": 1.0},
@@ -67,7 +69,7 @@ class PickPlace(OneAtATime):
         """Draw the poses of all objects; see the module's docstring."""
         qpos = start_qpos(scene, streams)
         for name, spots in start_spots(streams).items():
-            body = scene.free_qpos(f"{name}_main")
+            body = scene.free_qpos(self.parts[name].body)
             qpos[:, body] = standing(streams, name, spots)
         return Start(qpos)
 

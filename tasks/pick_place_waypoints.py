@@ -9,9 +9,8 @@ import numpy as np
 
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Start, Waypoint
-from manip.sim.scene import Scene
 from manip.tasks.held_objects import grasp, nearest_yaw
-from manip.tasks.pick_place_items import BIN, ITEMS, SPREAD
+from manip.tasks.pick_place_items import BIN, ITEMS, SPREAD, standing
 from manip.tasks.pick_place_measures import WALL
 
 Array = np.ndarray
@@ -28,14 +27,19 @@ PALM = 0.028
 ASIDE = 0.065
 """Greatest distance [m], in x and y, of an object from its place. The arm does not
 reach the farthest place, the can's, in full."""
+REST_ASIDE = 0.045
+"""Greatest distance [m], in x and y, of an object that is done from its place: clear of
+the bin's walls."""
 
 
 def place_object(
-    name: str, milestone: str, streams: EpisodeStreams, start: Start, scene: Scene
+    name: str, milestone: str, streams: EpisodeStreams, start: Start, body: slice
 ) -> Waypoint:
-    """Put an object, which stands at its start, into the hand at a milestone."""
-    item, body = ITEMS[name], scene.free_qpos(f"{name}_main")
-    qpos = start.qpos
+    """Put an object, which stands at its start, into the hand at a milestone.
+
+    body: entries of its free body in qpos.
+    """
+    item, qpos = ITEMS[name], start.qpos
     pose = qpos[:, body]
     if milestone != "grasp":
         pose[:, :3] = _position(name, milestone, streams)
@@ -45,6 +49,12 @@ def place_object(
     across = 2 * np.arctan2(pose[:, 6], pose[:, 3]) + np.pi / 2
     yaw = nearest_yaw(across, item.symmetry or 8)
     return grasp(streams, start, grip, yaw)
+
+
+def stand_in_place(name: str, streams: EpisodeStreams) -> Array:
+    """[n, 7]: qpos of an object that stands in its quarter of the bin, any yaw."""
+    offset = streams.uniform(-REST_ASIDE, REST_ASIDE, 2)
+    return standing(streams, name, np.array(ITEMS[name].place) + offset)
 
 
 def _position(name: str, milestone: str, streams: EpisodeStreams) -> Array:

@@ -86,7 +86,7 @@ def test_nuts_start_where_documented(cls, scene_of) -> None:
     task, env_ids = cls(), np.arange(500)
     scene = scene_of(task)
     qpos = task.sample_start(scene, EpisodeStreams(0, env_ids, env_ids)).qpos
-    nut, other = (qpos[:, scene.free_qpos(body)] for body in (task.nut, task.other))
+    nut, other = (qpos[:, scene.free_qpos(body)] for body in (task.body, task.other))
     low, high = nut[:, :3].min(axis=0), nut[:, :3].max(axis=0)
     inner, outer = sorted([task.side * 0.11, task.side * 0.225])
     np.testing.assert_allclose(low, [-0.115, inner, 0.89], atol=1e-3)

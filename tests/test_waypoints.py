@@ -281,7 +281,10 @@ def test_an_impossible_state_is_refused(name, value, message, scene: Scene) -> N
 
 SHIPPED = [
     (name, waypoint)
-    for name in ("NutAssemblySquare", "PickGoal", "PickPlaceMilk", "Push")
+    for name in (
+        *("NutAssembly", "NutAssemblySquare", "PickGoal", "PickPlace"),
+        *("PickPlaceMilk", "Push", "ToolHang"),
+    )
     for waypoint in load_task(name).waypoint_names
 ]
 
