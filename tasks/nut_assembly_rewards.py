@@ -19,8 +19,8 @@ Shaped reward, in [0, 1] per step: 0.1 reach + 0.05 turn + 0.15 grasp + 0.15 lif
     nut and the tool is within 2 cm of the handle.
 
 A nut above its peg pays at most 0.69, on the peg at least 0.74, and 1 on success.
-When release paid at any height, policies let go of the nut as soon as the peg was in it:
-of 64 nuts, 57 were on the peg, and 15 of these stayed high on it.
+When release paid at any height, policies let go of the nut once the peg was in it: of
+64 nuts, 57 were on the peg, and 15 of these stayed high on it.
 """
 
 import numpy as np
