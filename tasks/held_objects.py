@@ -57,7 +57,10 @@ def grasp(
 
 
 def above(streams: EpisodeStreams, start: Start, position: Array) -> Waypoint:
-    """The open hand, 15 to 25 cm above positions [n, 3] m or nearer to the robot."""
+    """The open hand 15 to 25 cm above positions [n, 3] m.
+
+    It is up to 15 cm nearer to the robot than they are, and up to 5 cm aside.
+    """
     low, high = np.array([-0.15, -0.05, 0.15]), np.array([0.0, 0.05, 0.25])
     offset = streams.uniform(low, high, 3)
     yaw = REST_YAW + streams.uniform(-0.3, 0.3, 1)[:, 0]

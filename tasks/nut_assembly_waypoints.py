@@ -25,12 +25,13 @@ PEG = np.array([0.23, 0.1])
 OUTWARDS = 0.008
 """Distance [m] of the best grasp from the handle's centre, away from the nut."""
 GRASP = GraspSpread((0.004, 0.004, 0.006), yaw=0.1, tilt=0.05)
+LYING = (REST + 0.0005, REST + 0.001)
 HEIGHTS = {
-    "grasp": (REST + 0.0005, REST + 0.001),
+    "grasp": LYING,
     "lift": (REST + 0.035, REST + 0.1),
     "over": (TOP + 0.015, TOP + 0.06),
     "on_peg": (SUCCESS_HEIGHT + 0.005, TOP - 0.005),
-    "rest": (REST + 0.0005, REST + 0.001),
+    "rest": LYING,
 }
 """Least and greatest height [m] of the nut's centre."""
 ON_PEG = ("on_peg", "rest")

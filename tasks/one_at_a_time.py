@@ -55,7 +55,7 @@ class OneAtATime(Task):
 
     @property
     def _counts(self) -> tuple[str, ...]:
-        """The milestones that count which number of objects is done, from 1 to K."""
+        """The milestones that count the objects that are done, from 1 to K."""
         return self.milestone_names[-len(self.parts) :]
 
     @property

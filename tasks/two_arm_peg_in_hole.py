@@ -85,7 +85,7 @@ class TwoArmPegInHole(Task):
         }
 
     def observe(self, m: Measures) -> dict[str, Array]:
-        """The robots, the axes, and the hole: its position and its place to the peg."""
+        """The robots, the axes, and the hole: its position, and that from the peg."""
         robots = observe_robots(m, CENTRE)
         return {
             **{name: robots[name] for name in self.proprioception},
@@ -136,7 +136,7 @@ class TwoArmPegInHole(Task):
         return insert_peg(m)
 
     def milestones(self, m: Measures) -> dict[str, Array]:
-        """aligned: to 18 degrees; near: then within 6 cm of the axis; success."""
+        """aligned: to 18 degrees; near: aligned, within 6 cm of the axis; success."""
         aligned = m["cos"] > LEAST_COS
         return {
             "aligned": aligned,

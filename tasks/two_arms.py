@@ -1,8 +1,8 @@
 """The robots' part of every task of two robots: measures, observation, actions.
 
-Readings of the second robot have the names of the first one's, after `robot1_`. So have
-the touches and the measures of these tasks. robosuite's robots stand opposite each
-other and face the middle, the first one on the side of negative y.
+Readings, touches and measures of the second robot have the names of the first one's,
+after `robot1_`. robosuite's robots stand opposite each other and face the middle, the
+first one on the side of negative y.
 """
 
 from collections.abc import Callable

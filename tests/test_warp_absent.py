@@ -50,6 +50,12 @@ def test_other_programs_say_which_packages_are_missing(
     assert "mujoco-warp==3.8.1" in capsys.readouterr().err
 
 
+def install(monkeypatch, warp: type) -> None:
+    """Make `warp`, and a `mujoco_warp`, importable."""
+    monkeypatch.setitem(sys.modules, "warp", warp)
+    monkeypatch.setitem(sys.modules, "mujoco_warp", object())
+
+
 class NoGpu:
     config = type("Config", (), {"quiet": False})
 
@@ -59,8 +65,7 @@ class NoGpu:
 
 
 def test_without_a_gpu_the_error_names_the_other_ways(monkeypatch) -> None:
-    monkeypatch.setitem(sys.modules, "warp", NoGpu)
-    monkeypatch.setitem(sys.modules, "mujoco_warp", object())
+    install(monkeypatch, NoGpu)
     with pytest.raises(UserError, match=r"needs an NVIDIA GPU.*--device cpu.*native"):
         check_library("cuda")
     check_library("cpu")
@@ -75,8 +80,7 @@ class WithGpu(NoGpu):
 
 
 def test_the_learner_needs_a_torch_with_cuda(monkeypatch) -> None:
-    monkeypatch.setitem(sys.modules, "warp", WithGpu)
-    monkeypatch.setitem(sys.modules, "mujoco_warp", object())
+    install(monkeypatch, WithGpu)
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     config = replace(recipe("Reach", "ppo"), engine="warp")
     with pytest.raises(UserError, match=r"this torch finds no CUDA.*--device cpu"):
