@@ -31,6 +31,7 @@ from manip.tasks.nut_assembly_measures import (
 from manip.tasks.nut_assembly_waypoints import NAMES, Nut, place_nut, rest_on_peg
 from manip.tasks.object_measures import object_measures
 from manip.tasks.object_task import ObjectTask
+from manip.tasks.offsets import coarse, fine
 from manip.tasks.placement import PARKED
 from manip.tasks.rotations import cos_sin, yaw_angle, yaw_quaternion
 
@@ -118,12 +119,12 @@ class OneNut(ObjectTask):
         above = np.stack([m["height"] - REST, m["height"] - TOP - 0.01], axis=1)
         return {
             **observe_arm_and_tool(m, CENTRE),
-            "to_handle": 10.0 * np.clip(m["to_handle"], -0.3, 0.3),
-            "to_handle_fine": 50.0 * np.clip(m["to_handle"], -0.02, 0.02),
+            "to_handle": coarse(m["to_handle"]),
+            "to_handle_fine": fine(m["to_handle"]),
             "handle_turn": cos_sin(2.0 * m["handle_turn"]),
             "to_peg": 5.0 * np.clip(m["to_peg"], -0.5, 0.5),
-            "to_peg_fine": 50.0 * np.clip(m["to_peg"][:, :2], -0.02, 0.02),
-            "above_fine": 50.0 * np.clip(above, -0.02, 0.02),
+            "to_peg_fine": fine(m["to_peg"][:, :2]),
+            "above_fine": fine(above),
             "nut_yaw": cos_sin(yaw_angle(m["nut_mat"])),
             "upright": m["nut_mat"][:, 6:],
             "nut_linvel": m["nut_linvel"],

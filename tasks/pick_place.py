@@ -30,6 +30,7 @@ from manip.tasks.arm import (
 from manip.tasks.experts.pick_place_expert import pick_and_place
 from manip.tasks.object_measures import object_measures
 from manip.tasks.object_task import ObjectTask
+from manip.tasks.offsets import coarse, fine
 from manip.tasks.pick_place_items import BIN, ITEMS, standing, start_spots
 from manip.tasks.pick_place_measures import WALL, measure_object
 from manip.tasks.pick_place_waypoints import NAMES, place_object, stand_in_place
@@ -102,8 +103,8 @@ class OneObject(ObjectTask):
         return {
             **observe_arm_and_tool(m, CENTRE),
             "object_pos": 4.0 * (m["object_pos"] - CENTRE),
-            "to_grip": 10.0 * np.clip(m["to_grip"], -0.3, 0.3),
-            "to_grip_fine": 50.0 * np.clip(m["to_grip"], -0.02, 0.02),
+            "to_grip": coarse(m["to_grip"]),
+            "to_grip_fine": fine(m["to_grip"]),
             "to_place": 4.0 * m["to_place"],
             "to_place_fine": 10.0 * np.clip(m["to_place"], -0.1, 0.1),
             **self._observe_turn(m),

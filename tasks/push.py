@@ -41,6 +41,7 @@ from manip.tasks.cube import (
 )
 from manip.tasks.experts.cube_expert import take_cube
 from manip.tasks.object_measures import diagonal_speed, object_measures
+from manip.tasks.offsets import fine
 from manip.tasks.placement import scatter
 from manip.tasks.rotations import cos_sin, rotation_matrix, yaw_angle
 from manip.tasks.scenes.cube_scene import HALF, SPREAD
@@ -114,7 +115,7 @@ class Push(Task):
             "turn": cos_sin(4.0 * turn),
             "goal_pos": 4.0 * (m["goal_pos"] - TABLE)[:, :2],
             "to_goal": np.clip(10.0 * m["to_goal"], -5.0, 5.0),
-            "to_goal_fine": 50.0 * np.clip(m["to_goal"], -0.02, 0.02),
+            "to_goal_fine": fine(m["to_goal"]),
         }
 
     def reward_terms(self, m: Measures, reward: str) -> dict[str, Array]:

@@ -29,6 +29,7 @@ from manip.tasks.arm import (
 )
 from manip.tasks.experts.stack_expert import stack_cubes
 from manip.tasks.object_measures import object_measures
+from manip.tasks.offsets import coarse, fine
 from manip.tasks.placement import poses_with_any_yaw, scatter
 from manip.tasks.rotations import cos_sin, rotation_matrix, yaw_angle
 from manip.tasks.stack_rewards import HALF, STACKED, SUCCESS_HEIGHT
@@ -111,11 +112,11 @@ class Stack(Task):
         half = constant([0.0, 0.0, HALF["cubeB"]], m["b_pos"])
         return {
             **observe_arm_and_tool(m, CENTRE),
-            "to_a": 10.0 * xp.clip(m["to_a"], -0.3, 0.3),
-            "from_b": 10.0 * xp.clip(m["from_b"], -0.3, 0.3),
+            "to_a": coarse(m["to_a"]),
+            "from_b": coarse(m["from_b"]),
             "b_pos": 4.0 * (m["b_pos"] - table - half),
-            "to_a_fine": 50.0 * xp.clip(m["to_a"], -0.02, 0.02),
-            "above_fine": 50.0 * xp.clip(above, -0.02, 0.02),
+            "to_a_fine": fine(m["to_a"]),
+            "above_fine": fine(above),
             "turn": cos_sin(4.0 * (yaw_angle(a) - yaw_angle(m["eef_mat"]))),
             "upright": a[:, 6:],
             "a_linvel": m["a_linvel"],

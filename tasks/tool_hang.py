@@ -22,6 +22,7 @@ from manip.tasks import tool_hang_rewards as rewards
 from manip.tasks.arm import ARM_PARTS, observe_arm, start_qpos
 from manip.tasks.experts.tool_hang_expert import hang_tool
 from manip.tasks.object_measures import tilt
+from manip.tasks.offsets import coarse, fine
 from manip.tasks.rotations import yaw_quaternion
 from manip.tasks.tool_hang_measures import FINGERS, measure_parts, tip_depth
 from manip.tasks.tool_hang_waypoints import NAMES, place_parts
@@ -105,8 +106,8 @@ class ToolHang(Task):
         """The arm and the tool's axes, then frame and wrench, coarse and fine."""
         parts = {**observe_arm(m, CENTRE), "tool_axes": m["eef_mat"]}
         for name in "to_grip", "to_mouth", "to_tool", "to_hook":
-            parts[name] = 10.0 * np.clip(m[name], -0.3, 0.3)
-            parts[f"{name}_fine"] = 50.0 * np.clip(m[name], -0.02, 0.02)
+            parts[name] = coarse(m[name])
+            parts[f"{name}_fine"] = fine(m[name])
         for name in "frame", "tool":
             parts[f"{name}_axes"] = m[f"{name}_mat"]
             parts[f"{name}_linvel"] = m[f"{name}_linvel"]

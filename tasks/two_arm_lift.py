@@ -28,6 +28,7 @@ from manip.sim.sensors import Sensors
 from manip.tasks.arm import start_qpos
 from manip.tasks.experts.two_arm_lift_expert import lift_pot
 from manip.tasks.object_measures import tilt
+from manip.tasks.offsets import coarse, fine
 from manip.tasks.rotations import cos_sin, rotation_matrix, yaw_angle, yaw_quaternion
 from manip.tasks.two_arms import (
     ROBOT_PARTS,
@@ -121,12 +122,8 @@ class TwoArmLift(Task):
             "pot_upright": 3.0 * pot[:, 6:8],
             "pot_linvel": m["pot_linvel"],
             "pot_angvel": 0.2 * m["pot_angvel"],
-            "to_handles": np.hstack(
-                [10.0 * np.clip(own["to_handle"], -0.3, 0.3) for own in robots]
-            ),
-            "to_handles_fine": np.hstack(
-                [50.0 * np.clip(own["to_handle"], -0.02, 0.02) for own in robots]
-            ),
+            "to_handles": np.hstack([coarse(own["to_handle"]) for own in robots]),
+            "to_handles_fine": np.hstack([fine(own["to_handle"]) for own in robots]),
             "touch": np.column_stack(
                 [own[side] for own in robots for side in ("left", "right")]
             ),

@@ -28,6 +28,7 @@ from manip.tasks.arm import (
     start_qpos,
 )
 from manip.tasks.experts.wipe_expert import wipe_table
+from manip.tasks.offsets import coarse, fine
 from manip.tasks.wipe_markers import (
     MARKERS,
     remaining_markers,
@@ -120,10 +121,10 @@ class Wipe(Task):
             del parts[name]
         return {
             **parts,
-            "height": 50.0 * np.clip(m["eef_pos"][:, 2:] - TABLE[2] - TOP, -0.02, 0.02),
+            "height": fine(m["eef_pos"][:, 2:] - TABLE[2] - TOP),
             "force": np.clip(m["force"] / 30.0, -3, 3),
             "contacts": m["contacts"][:, None] / 30.0,
-            "nearest": 10.0 * np.clip(m["nearest"], -0.3, 0.3),
+            "nearest": coarse(m["nearest"]),
             "nearest_fine": 50.0 * np.clip(m["nearest"], -0.04, 0.04),
             "centroid": 5.0 * np.clip(m["centroid"], -1, 1),
             "farthest": 5.0 * np.clip(m["farthest"], -1, 1),
