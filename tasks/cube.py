@@ -52,7 +52,8 @@ def start_cube(
 def grasp_cube(scene: Scene, streams: EpisodeStreams, start: Start) -> Waypoint:
     """The closed hand around the upright cube, wherever the start states have it."""
     cube = start.qpos[:, scene.free_qpos("cube_main")]
-    yaw = nearest_yaw(2 * np.arctan2(cube[:, 6], cube[:, 3]), 4)
+    turned = 2 * np.arctan2(cube[:, 6], cube[:, 3])
+    yaw = nearest_yaw(turned + _gripped_turn(scene.layout.narrowest), 4)
     spread = GraspSpread((0.004, 0.004, 0.006))
     return grasp(streams, start, cube[:, :3], yaw, spread)
 
@@ -93,9 +94,17 @@ def yaw_to_cube(m: Measures) -> Array:
     For a hand that is wider than the cube: to its nearest pair of edges.
     """
     yaw = yaw_angle(rotation_matrix(m["cube_quat"]))
-    edge = np.where(m["gripper_narrowest"] > CUBE_WIDTH, np.pi / 4, 0.0)
-    error = yaw + constant(edge, yaw) - yaw_angle(m["eef_mat"])
+    turn = constant(_gripped_turn(m["gripper_narrowest"]), yaw)
+    error = yaw + turn - yaw_angle(m["eef_mat"])
     return error - np.pi / 2 * namespace(error).round(error / (np.pi / 2))
+
+
+def _gripped_turn(narrowest: Array | float) -> Array:
+    """[rad] from a cube to a hand that grips it: by its faces, or edges if too wide.
+
+    narrowest: gap [m] between the pads of the shut gripper.
+    """
+    return np.where(np.asarray(narrowest) > CUBE_WIDTH, np.pi / 4, 0.0)
 
 
 def observe_cube(m: Measures) -> dict[str, Array]:

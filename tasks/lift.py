@@ -24,7 +24,7 @@ import numpy as np
 
 from manip.arrays import floats
 from manip.envs.episode_streams import EpisodeStreams
-from manip.envs.task import Measures, Start, Task, Weights
+from manip.envs.task import Measures, Start, Task, Waypoint, Weights
 from manip.rewards.kernels import near, ramp
 from manip.sim.robot_motion import hand_tilt
 from manip.sim.scene import Scene
@@ -34,6 +34,7 @@ from manip.tasks.cube import (
     CUBE_BODY,
     PAD_TOUCHES,
     TABLE,
+    grasp_cube,
     grasp_term,
     measure_cube,
     observe_cube,
@@ -63,6 +64,7 @@ class Lift(Task):
     sensors = Sensors(bodies=CUBE_BODY, touches=PAD_TOUCHES)
     horizon = 100
     milestone_names = ("near", "grasp", "lift")
+    waypoint_names = ("grasp",)
     weights: ClassVar[Weights] = {
         "shaped": {"reach": 0.2, "grasp": 0.25, "lift": 0.55, "upright": 0.0},
         "stock": {"reach": 1 / 2.25, "grasp": 0.25 / 2.25, "lift": 1.0},
@@ -79,6 +81,14 @@ class Lift(Task):
         turn = yaw_quaternion(streams.uniform(0, 2 * np.pi, 1)[:, 0])
         qpos[:, cube] = np.concatenate([position, turn], axis=1)
         return Start(qpos)
+
+    def sample_waypoint(
+        self, milestone: str, scene: Scene, streams: EpisodeStreams
+    ) -> Waypoint:
+        """The cube in the closed hand, on the table."""
+        start = self.sample_start(scene, streams)
+        start.qpos[:, scene.free_qpos("cube_main")][:, 2] -= DROP
+        return grasp_cube(scene, streams, start)
 
     def measure(self, read: Measures) -> Measures:
         """See `measure_cube`."""

@@ -11,7 +11,7 @@ from sameness import assert_same
 from training_runs import assert_equal_runs, new_trainer, stop_after, tiny
 
 from manip.agents.policy import load_policy
-from manip.envs import waypoint_states
+from manip.envs import RobotConfig, make_batch, waypoint_states
 from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Start, Waypoint
@@ -148,6 +148,12 @@ class Shapeless(Held):
         return waypoint._replace(tool_pos=waypoint.tool_pos[0])
 
 
+class Plain(Held):
+    """A task without waypoints."""
+
+    waypoint_names = ()
+
+
 class Bare(Held):
     """sample_waypoint returns a start alone."""
 
@@ -158,7 +164,7 @@ class Bare(Held):
 @pytest.mark.parametrize(
     ("task", "message"),
     [
-        (Lift, "task 'Lift' has no waypoints: define waypoint_names"),
+        (Plain, "task 'Plain' has no waypoints: define waypoint_names"),
         (Named, "unknown waypoint 'nera': did you mean 'near'"),
         (Shapeless, r"sample_waypoint\(\) tool_pos has shape \(3,\), not \(8, 3\)"),
         (Bare, r"sample_waypoint\(\) returns Start, not Waypoint"),
@@ -282,7 +288,7 @@ def test_an_impossible_state_is_refused(name, value, message, scene: Scene) -> N
 SHIPPED = [
     (name, waypoint)
     for name in (
-        *("NutAssembly", "NutAssemblySquare", "PickGoal", "PickPlace"),
+        *("Lift", "NutAssembly", "NutAssemblySquare", "PickGoal", "PickPlace"),
         *("PickPlaceMilk", "Push", "ToolHang"),
     )
     for waypoint in load_task(name).waypoint_names
@@ -298,6 +304,15 @@ def test_most_states_of_the_package_s_tasks_are_valid(
     task = load_task(name)
     maker = WaypointMaker(task, scene_of(task, fidelity="fast"), 1)
     assert maker.measure(waypoint, 1).valid > 20
+
+
+@pytest.mark.parametrize("robot", ["IIWA", "Kinova3"])
+def test_links_of_a_gripper_may_overlap_and_joints_turn_freely(robot: str) -> None:
+    """Robotiq grippers' links overlap; four of the Kinova3's joints have no limits."""
+    batch = make_batch("Lift", num_envs=1, robot=RobotConfig(robot), fidelity="fast")
+    counts = WaypointMaker(Lift(), batch.scene, 0, 1).try_out("grasp", 0).counts
+    assert counts.reached == counts.free == waypoint_states.CANDIDATES
+    assert counts.valid > waypoint_states.CANDIDATES / 2
 
 
 def test_a_run_starts_from_waypoints_and_resumes_bit_for_bit(tmp_path: Path) -> None:

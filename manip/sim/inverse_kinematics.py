@@ -52,7 +52,7 @@ class InverseKinematics(NotCopied):
     def __init__(self, scene: Scene) -> None:
         self._model = scene.physics
         self._arm = scene.layout.only_robot("inverse kinematics").arm
-        self._low, self._high = scene.layout.joint_range[0].T
+        self._low, self._high = _joint_limits(scene)
         self._data = mujoco.MjData(self._model)
         self._jacobian = np.zeros((6, self._model.nv))
 
@@ -106,6 +106,14 @@ class InverseKinematics(NotCopied):
         second = _damped_inverse(turning, damping)
         step += second @ (motion[3:] - of_rotation @ step)
         return step + free @ back - second @ (turning @ back)
+
+
+def _joint_limits(scene: Scene) -> tuple[Array, Array]:
+    """[n] rad each: lower and upper limits, infinite for joints without limits."""
+    model, arm = scene.physics, scene.layout.robots[0].arm
+    limited = model.jnt_limited[model.dof_jntid[arm.dof]]
+    low, high = scene.layout.joint_range[0].T
+    return np.where(limited, low, -np.inf), np.where(limited, high, np.inf)
 
 
 def _damped_inverse(matrix: Array, damping: float) -> Array:

@@ -42,7 +42,8 @@ def open_gripper(scene: Scene) -> tuple[Array, Array]:
 def penetration(scene: Scene, qpos: Array, fields: Mapping[str, Array]) -> Array:
     """[n] m: the deepest penetration in poses qpos [n, nq]; 0 where nothing touches.
 
-    Contacts of parked bodies do not count.
+    Contacts of parked bodies do not count, nor those of a gripper's links with each
+    other: in some of robosuite's grippers, open or shut, they overlap by millimetres.
 
     Args:
         scene: whose geoms collide.
@@ -51,16 +52,24 @@ def penetration(scene: Scene, qpos: Array, fields: Mapping[str, Array]) -> Array
     """
     model = copy.copy(scene.physics)
     data, deepest = mujoco.MjData(model), np.zeros(len(qpos))
-    away = scene.parked_geoms
+    away, fingers = scene.parked_geoms, _finger_geoms(scene)
     for row, pose in enumerate(qpos):
         for slot, values in _physical(scene, fields):
             write_slot(model, slot, values[row])
         data.qpos[:] = pose
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
-        counts = ~away[data.contact.geom].any(axis=1)
+        pairs = data.contact.geom
+        counts = ~away[pairs].any(axis=1) & ~fingers[pairs].all(axis=1)
         deepest[row] = -data.contact.dist[counts].min(initial=0.0)
     return deepest
+
+
+def _finger_geoms(scene: Scene) -> Array:
+    """[ngeom] bool: the physics geoms of the bodies that the finger joints move."""
+    model, fingers = scene.physics, scene.layout.finger_qpos
+    joints = np.isin(model.jnt_qposadr, fingers)
+    return np.isin(model.geom_bodyid, model.jnt_bodyid[joints])
 
 
 def _physical(
