@@ -71,7 +71,7 @@ def recipe(
         UserError: unknown algorithm.
     """
     values = dict(_values(task, algo, observe))
-    values |= values.pop("robots", {}).get(robot, {})
+    values = _merge(values, values.pop("robots", {}).get(robot, {}))
     if scales_other_actions(task, algo, controller):
         values["agent"] = {k: v for k, v in values["agent"].items() if k != SCALE}
     chosen = {"robot": robot, "controller": controller}
@@ -86,16 +86,19 @@ def with_labels(config: TrainConfig, folder: Path) -> TrainConfig:
     may have others, under `tasks`.
     """
     values = dict(_shipped("preferences").get(config.algo, {}))
-    own = values.pop("tasks", {}).get(config.task, {})
-    for group in NESTED:
-        values[group] = values.get(group, {}) | own.get(group, {})
-    values |= {name: v for name, v in own.items() if name not in NESTED}
-    labels = replace(config.labels, **values.pop("labels"))
-    changes = values.pop("agent")
+    values = _merge(values, values.pop("tasks", {}).get(config.task, {}))
+    labels = replace(config.labels, **values.pop("labels", {}))
+    changes = values.pop("agent", {})
     if config.controller != "OSC_POSE":  # its action_scale is for that one
         changes = {name: v for name, v in changes.items() if name != SCALE}
     agent = build(type(config.agent), asdict(config.agent) | changes)
     return replace(config, preferences=folder, labels=labels, agent=agent, **values)
+
+
+def _merge(values: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """Options, some of them replaced by others; of groups, option by option."""
+    groups = {name: values.get(name, {}) | own.get(name, {}) for name in NESTED}
+    return values | own | {name: group for name, group in groups.items() if group}
 
 
 def for_gpu(config: TrainConfig) -> TrainConfig:
