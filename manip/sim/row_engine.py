@@ -188,7 +188,8 @@ class RowEngine(NotCopied, ABC):
         gripper_qvel; eef_pos [N, 3] m and eef_mat [N, 9] of the grip site; hand_quat
         [N, 4] wxyz of the hand body; gripper_closing [N], 1 once it is commanded to
         close fully; rest_pos [1, n], the arm's default pose; joint_low, joint_high
-        [1, n], its limits. Those of a second robot follow, as robot1_joint_pos etc.
+        [1, n], its limits, both 0 for a joint without. Those of a second robot follow,
+        as robot1_joint_pos etc.
 
         Once for all robots: gripper_command, one number an actuator; start_pos, the
         arms at the episode's start; gripper_speed [1], how much gripper_closing changes
