@@ -104,7 +104,7 @@ def _gripped_turn(narrowest: Array | float) -> Array:
 
     narrowest: gap [m] between the pads of the shut gripper.
     """
-    return np.where(np.asarray(narrowest) > CUBE_WIDTH, np.pi / 4, 0.0)
+    return np.where(narrowest > CUBE_WIDTH, np.pi / 4, 0.0)
 
 
 def observe_cube(m: Measures) -> dict[str, Array]:

@@ -9,6 +9,7 @@ import yaml
 from training_runs import tiny
 
 from manip.agents.registry import algorithm_names, load_algorithm
+from manip.agents.sac import SACConfig
 from manip.envs.task_registry import load_task, task_names
 from manip.errors import UserError
 from manip.programs import train
@@ -43,6 +44,14 @@ def test_a_recipe_may_have_other_options_for_some_arms() -> None:
     assert jaco.agent.noise < panda.agent.noise
     assert recipes("Jaco")["lift-bc"] == jaco
     assert train._defaults(["--algo", "bc", "--robot", "Jaco"]) == jaco
+
+
+def test_options_of_the_algorithm_for_an_arm_leave_its_others_alone() -> None:
+    panda, xarm = (recipe("Lift", "sac", robot).agent for robot in ("Panda", "XArm7"))
+    changed = {"gamma": 0.97, "gripper_bursts": 0.04}
+    assert xarm == replace(panda, **changed)
+    assert panda.gamma != xarm.gamma
+    assert panda.tau != SACConfig().tau
 
 
 @pytest.mark.parametrize("algo", algorithm_names())

@@ -6,6 +6,7 @@ from manip.rewards.compose import weighted_sum
 from manip.tasks.door import Door
 from manip.tasks.lift import Lift
 from manip.tasks.stack import Stack
+from manip.tasks.wipe_rewards import shaped_terms
 
 
 def test_door_pays_as_documented() -> None:
@@ -88,3 +89,21 @@ def test_lift_pays_as_documented() -> None:
     low = (1.25 - np.tanh(0.18)) / 2.25
     expected = [(1 - np.tanh(2)) / 2.25, 1 / 2.25, 1.25 / 2.25, 1, 1, low, 1]
     np.testing.assert_allclose(stock, expected)
+
+
+def test_wipe_pays_less_the_harder_the_wiper_presses() -> None:
+    force = np.array([0.0, 20, 30, 40, 60, 110, 10, 110])
+    clean = np.arange(8) == 7
+    m = {
+        "force": np.outer(force, [0, 0, -1]),
+        "contacts": np.array([4.0, 4, 4, 4, 4, 4, 0, 4]),
+        "distance": np.linspace(0, 0.3, 8),
+        "share": np.linspace(0, 1, 8),
+    }
+    terms = shaped_terms(m, clean)
+    touch = [1, 1, 0.75, 0.5, 0, 0, 0, 1]
+    np.testing.assert_allclose(terms["touch"], touch, atol=1e-9)
+    near = np.where(clean, 1, 1 - np.tanh(5 * m["distance"]))
+    np.testing.assert_allclose(terms["near"], near)
+    np.testing.assert_allclose(terms["wiped"], m["share"])
+    assert terms["clean"].tolist() == clean.tolist()
