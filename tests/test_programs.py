@@ -1,6 +1,7 @@
 """Programs from their command lines: what they write, print and refuse."""
 
 import contextlib
+import gc
 import json
 import os
 import platform
@@ -10,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -242,6 +244,17 @@ def test_the_package_is_a_program_too(monkeypatch, capsys) -> None:
     with pytest.raises(SystemExit, match="0"):
         runpy.run_module("manip", run_name="__main__")
     assert "usage: manip PROGRAM" in capsys.readouterr().out
+
+
+def test_a_later_program_keeps_no_garbage(manip: Manip) -> None:
+    manip("list")
+    cycle = UserError()
+    cycle.itself = cycle
+    reference = weakref.ref(cycle)
+    del cycle
+    manip("list")
+    gc.collect()
+    assert reference() is None
 
 
 def refusal(result: Result) -> str:

@@ -76,8 +76,12 @@ def _no_garbage_collection() -> Iterator[None]:
     """Collect no garbage inside; leave the objects made inside out of later searches.
 
     Modules are hundreds of thousands of objects that stay. To search them for garbage
-    would take a fifth of the time of their import.
+    would take a fifth of the time of their import. Only a process's first program does
+    so: what earlier ones left may be garbage, which would then never be freed.
     """
+    if gc.get_freeze_count():
+        yield
+        return
     gc.disable()
     try:
         yield
