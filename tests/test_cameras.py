@@ -5,6 +5,7 @@ import gc
 import os
 import subprocess
 import sys
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,12 +18,13 @@ from manip.cameras import CameraConfig
 from manip.envs import TaskEnv, load_task, make_batch
 from manip.envs.task_batch import TaskBatch
 from manip.errors import UserError
+from manip.robot_config import RobotConfig
 from manip.sim import gl
 from manip.sim.batch_engine import BatchEngine
 from manip.sim.robosuite_factory import draw_with, make_stock
 from manip.sim.scene import Scene, load_scene
 from manip.sim.scene_cameras import SceneCameras
-from manip.sim.stock_driver import camera_options
+from manip.sim.stock_driver import camera_options, open_stock
 from manip.sim.stock_reader import stock_reader
 
 pytestmark = pytest.mark.skipif(gl.find_backend() is None, reason=gl.INSTALL_HINT)
@@ -231,6 +233,13 @@ def with_cameras(cameras: CameraConfig) -> Any:
     """A robosuite environment with cameras, as a user builds it."""
     draw_with(gl.use_backend())
     return make_stock("Lift", seed=0, **camera_options(cameras))
+
+
+def test_a_hard_reset_frees_the_model_that_it_replaces() -> None:
+    driver = open_stock("Lift", RobotConfig(), 0, SMALL, hard_reset=True)
+    replaced = weakref.ref(driver.stock.sim)
+    driver.run(driver.stock.reset)
+    assert replaced() is None
 
 
 @pytest.mark.slow
