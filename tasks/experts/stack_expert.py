@@ -8,36 +8,86 @@ from manip.tasks.rotations import rotation_matrix, yaw_angle
 
 Array = np.ndarray
 
+CROWDED = 0.1
+"""Distance [m] of B from A up to which an open finger between them may land on B."""
+LIFTED = 0.03
+"""Height [m] of A's centre above the table from which A no longer lies on it."""
+AIM = 0.013
+"""Error [m] of the hand above A, aside and in yaw, up to which it goes down to A."""
+YAW_RADIUS = 0.05
+"""Weight [m/rad] of the yaw in that error."""
+TILT = 0.05
+"""Tilt of the hand [rad] that is left as it is: some arms do not reach A upright."""
+PLACE = 0.01
+"""Distance [m] of A aside of B up to which it goes down to B."""
+
 
 def stack_cubes(m: Measures, height: float) -> Array:
     """Align with A, close, lift, move over B, lower, and open once A rests on B.
 
+    The further the hand is from its aim, the higher it stays. So a small mistake does
+    not cost a new approach.
+
     height: of A's centre above B's when A lies on B [m].
     """
-    offset, turn = m["to_a"].copy(), _yaw_to(m, rotation_matrix(m["a_quat"]))
-    apart = (np.linalg.norm(offset[:, :2], axis=1) > 0.01) | (np.abs(turn) > 0.1)
-    around = (m["distance"] < 0.02) & (m["gripper_closing"] > 0.1)
-    closing = (m["grasped"] | around | (m["distance"] < 0.012)) & ~m["on"]
-    offset[:, 2] += np.where(apart & ~closing, 0.06, 0.0)
-    carried = m["grasped"] & (m["gripper_closing"] > 0.9)
-    offset = np.where(carried[:, None], _onto(-m["from_b"] + height * UP), offset)
-    leave = np.where(m["gripper_closing"] < -0.5, 0.1, 0.0)[:, None] * UP
-    offset = np.where(m["on"][:, None], leave, offset)
+    grip, turn = m["gripper_closing"], _turn_to_a(m)
+    started = (m["distance"] < 0.02) & (grip > -0.9)
+    released = m["on"] | _just_above_b(m, height)
+    closing = (m["grasped"] | started | (m["distance"] < 0.012)) & ~released
+    carried = m["grasped"] & (grip > 0.9)
+    offset = np.where(closing[:, None], m["to_a"], _above_a(m["to_a"], turn))
+    offset = np.where(carried[:, None], _onto(height * UP - m["from_b"]), offset)
+    leave = np.where(grip < -0.5, 0.1, 0.0)[:, None] * UP
+    offset = np.where(released[:, None], leave, offset)
     action = move_action(offset, np.where(closing, 1.0, -1.0))
-    action[:, 5] = np.clip(TURN_GAIN * turn, -1, 1) * ~m["on"]
+    action[:, 3:6] = _rotation(m["eef_mat"], turn * ~(closing | released))
     return action
 
 
+def _above_a(to_a: Array, turn: Array) -> Array:
+    """[n, 3] m: to A, and up to 6 cm above it while the hand is aside or turned."""
+    error = np.linalg.norm(to_a[:, :2], axis=1) + YAW_RADIUS * np.abs(turn)
+    return to_a + np.clip(3.0 * (error - AIM), 0.0, 0.06)[:, None] * UP
+
+
 def _onto(offset: Array) -> Array:
-    """[n, 3] m: to 3 cm above B, then down once A is less than 8 mm aside."""
-    aside, below = np.linalg.norm(offset[:, :2], axis=1), offset[:, 2]
-    down = (aside < 0.008) | ((aside < 0.015) & (below > -0.025))
-    offset[:, :2] *= (below < -0.015)[:, None] | down[:, None]
-    offset[:, 2] = np.where(down, below - 0.005, below + 0.03)
+    """[n, 3] m: onto B, and up to 3 cm above it while A is aside.
+
+    A hand that must rise by 2 cm or more does so before it moves aside.
+    """
+    aside = np.linalg.norm(offset[:, :2], axis=1)
+    offset = offset + np.clip(3.0 * (aside - PLACE), -0.005, 0.03)[:, None] * UP
+    offset[:, :2] *= (offset[:, 2] < 0.02)[:, None]
     return offset
 
 
-def _yaw_to(m: Measures, matrix: Array) -> Array:
-    """[n] rad: the smallest yaw that aligns the fingers with a cube's faces."""
-    error = yaw_angle(matrix) - yaw_angle(m["eef_mat"])
-    return error - np.pi / 2 * np.round(error / (np.pi / 2))
+def _just_above_b(m: Measures, height: float) -> Array:
+    """[n] bool: A falls by 3 mm onto B; by up to 1 cm once the gripper opens."""
+    fall = np.where(m["gripper_closing"] < 0.7, 0.01, 0.003)
+    return (m["from_b"][:, 2] < height + fall) & (m["aside"] < 2 * PLACE)
+
+
+def _turn_to_a(m: Measures) -> Array:
+    """[n] rad: the smallest yaw that aligns the fingers with faces of A.
+
+    While B is near A, with those faces of A between which no finger lands on B.
+    """
+    hand, cube = yaw_angle(m["eef_mat"]), yaw_angle(rotation_matrix(m["a_quat"]))
+    past_b = np.arctan2(m["from_b"][:, 1], m["from_b"][:, 0]) + np.pi / 2
+    aligned = past_b + _nearest(cube - past_b, np.pi / 2)
+    crowded = (m["aside"] < CROWDED) & (m["height"] < LIFTED)
+    turn = _nearest(cube - hand, np.pi / 2)
+    return np.where(crowded, _nearest(aligned - hand, np.pi), turn)
+
+
+def _rotation(eef_mat: Array, turn: Array) -> Array:
+    """[n, 3]: the action that yaws by `turn` [n] rad, and lessens a tilt above TILT."""
+    tilt = np.cross(eef_mat[:, [2, 5, 8]], -UP)
+    tilted = np.linalg.norm(tilt, axis=1, keepdims=True)
+    tilt *= 1 - np.minimum(TILT / np.maximum(tilted, TILT), 1)
+    return np.clip(TURN_GAIN * (tilt + turn[:, None] * UP), -1, 1)
+
+
+def _nearest(angle: Array, period: float) -> Array:
+    """[n] rad: the angle of least magnitude that differs by whole periods."""
+    return angle - period * np.round(angle / period)
