@@ -10,7 +10,7 @@ from manip.sim.scene import Scene
 from manip.tasks.arm import both_pads_touch, observe_arm, start_qpos
 from manip.tasks.held_objects import GraspSpread, grasp, nearest_yaw
 from manip.tasks.placement import poses_with_any_yaw
-from manip.tasks.rotations import cos_sin, rotation_matrix, yaw_angle
+from manip.tasks.rotations import cos_sin, nearest_turn, rotation_matrix, yaw_angle
 
 Array = np.ndarray
 
@@ -95,8 +95,7 @@ def yaw_to_cube(m: Measures) -> Array:
     """
     yaw = yaw_angle(rotation_matrix(m["cube_quat"]))
     turn = constant(_gripped_turn(m["gripper_narrowest"]), yaw)
-    error = yaw + turn - yaw_angle(m["eef_mat"])
-    return error - np.pi / 2 * namespace(error).round(error / (np.pi / 2))
+    return nearest_turn(yaw + turn - yaw_angle(m["eef_mat"]), np.pi / 2)
 
 
 def _gripped_turn(narrowest: Array | float) -> Array:

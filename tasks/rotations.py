@@ -34,6 +34,14 @@ def yaw_angle(matrix: Array) -> Array:
     return namespace(matrix).arctan2(matrix[:, 3], matrix[:, 0])
 
 
+def nearest_turn(angle: Array, period: float) -> Array:
+    """[n] rad: the least rotation that differs from `angle` [n] by whole periods [rad].
+
+    With a period of a quarter turn: from a hand to the nearest pair of a cube's faces.
+    """
+    return angle - period * namespace(angle).round(angle / period)
+
+
 def cos_sin(angle: Array) -> Array:
     """[n, 2]: cosine and sine of `angle` [n] rad, continuous where angles jump."""
     xp = namespace(angle)

@@ -5,7 +5,7 @@ import numpy as np
 from manip.envs.task import Measures
 from manip.rewards.kernels import ramp
 from manip.tasks.experts.motion import UP, move_action, upright_turn
-from manip.tasks.rotations import yaw_angle
+from manip.tasks.rotations import nearest_turn, yaw_angle
 
 Array = np.ndarray
 
@@ -55,8 +55,7 @@ def _turn(m: Measures, bin_centre: Array, symmetry: int) -> Array:
     wide, period = np.pi / 2 * (gap[:, 1] > gap[:, 0]), 2 * np.pi / symmetry
     angle = yaw_angle(m["object_mat"]) + np.pi / 2
     angle += period * np.round((wide - angle) / period)
-    turn = angle - yaw_angle(m["eef_mat"])
-    return turn - np.pi * np.round(turn / np.pi)
+    return nearest_turn(angle - yaw_angle(m["eef_mat"]), np.pi)
 
 
 def _across(m: Measures) -> Array:

@@ -4,7 +4,7 @@ import numpy as np
 
 from manip.envs.task import Measures
 from manip.tasks.experts.motion import TURN_GAIN, UP, move_action
-from manip.tasks.rotations import rotation_matrix, yaw_angle
+from manip.tasks.rotations import nearest_turn, rotation_matrix, yaw_angle
 
 Array = np.ndarray
 
@@ -74,10 +74,10 @@ def _turn_to_a(m: Measures) -> Array:
     """
     hand, cube = yaw_angle(m["eef_mat"]), yaw_angle(rotation_matrix(m["a_quat"]))
     past_b = np.arctan2(m["from_b"][:, 1], m["from_b"][:, 0]) + np.pi / 2
-    aligned = past_b + _nearest(cube - past_b, np.pi / 2)
+    aligned = past_b + nearest_turn(cube - past_b, np.pi / 2)
     crowded = (m["aside"] < CROWDED) & (m["height"] < LIFTED)
-    turn = _nearest(cube - hand, np.pi / 2)
-    return np.where(crowded, _nearest(aligned - hand, np.pi), turn)
+    turn = nearest_turn(cube - hand, np.pi / 2)
+    return np.where(crowded, nearest_turn(aligned - hand, np.pi), turn)
 
 
 def _rotation(eef_mat: Array, turn: Array) -> Array:
@@ -86,8 +86,3 @@ def _rotation(eef_mat: Array, turn: Array) -> Array:
     tilted = np.linalg.norm(tilt, axis=1, keepdims=True)
     tilt *= 1 - np.minimum(TILT / np.maximum(tilted, TILT), 1)
     return np.clip(TURN_GAIN * (tilt + turn[:, None] * UP), -1, 1)
-
-
-def _nearest(angle: Array, period: float) -> Array:
-    """[n] rad: the angle of least magnitude that differs by whole periods."""
-    return angle - period * np.round(angle / period)
