@@ -24,6 +24,7 @@ from manip.training.build import (
 from manip.training.config import TrainConfig, from_dict
 from manip.training.inputs import spaces_of
 from manip.training.memory import check_memory
+from manip.training.state_check import check_like
 
 TASK = "tiny:Tiny"
 """Its episodes last 8 control steps."""
@@ -100,7 +101,7 @@ def test_a_run_from_cameras_resumes_bit_for_bit_and_its_policy_is_usable(
     tmp_path: Path,
 ) -> None:
     teacher = teacher_in(tmp_path / "teacher")
-    config = options(tmp_path)
+    config = options(tmp_path, looks=0.5)
     whole = new_trainer(config)
     assert whole.run()
     assert whole.state.learned.keys() == {"loss_actor", "loss_prediction"}
@@ -125,6 +126,15 @@ def test_the_best_policy_is_chosen_by_images_as_in_training(tmp_path: Path) -> N
     env.reset()
     assert env.batch.cameras.quality == "lean"
     assert env.batch._looks.seeds.all()  # without looks they are 0
+
+
+def test_looks_are_saved_as_numbers_that_a_checkpoint_may_hold(tmp_path: Path) -> None:
+    teacher_in(tmp_path / "teacher")
+    (env,) = training_envs(options(tmp_path, looks=1.0))
+    env.reset()
+    state = env.batch.save_state()
+    assert state["looks"].all()
+    check_like(state, state, "state")
 
 
 def test_a_teacher_labels_every_state_with_its_own_action(tmp_path: Path) -> None:

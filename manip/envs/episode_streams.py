@@ -82,9 +82,9 @@ def episode_seed(
 
 
 def look_seed(seed: int, purpose: int, env_id: int, episode: int) -> int:
-    """The seed (below 2^63) of an episode's look; nothing else depends on it."""
+    """The seed (below 2^32) of an episode's look; nothing else depends on it."""
     sequence = np.random.SeedSequence(seed, spawn_key=(purpose, env_id, episode, 1))
-    return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
+    return int(sequence.generate_state(1)[0])
 
 
 def build_seed(seed: int, purpose: int, env_id: int) -> int:
