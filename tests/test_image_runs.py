@@ -137,6 +137,14 @@ def test_looks_are_saved_as_numbers_that_a_checkpoint_may_hold(tmp_path: Path) -
     check_like(state, state, "state")
 
 
+def test_a_teacher_that_sees_cameras_is_refused(tmp_path: Path) -> None:
+    config = from_dict(
+        {"task": "Lift", "algo": "bc", "observe": "cameras", "teacher": "Lift-cameras"}
+    )
+    with pytest.raises(UserError, match="sees cameras: a teacher must see"):
+        training_envs(config)
+
+
 def test_a_teacher_labels_every_state_with_its_own_action(tmp_path: Path) -> None:
     teacher = teacher_in(tmp_path / "teacher")
     (env,) = training_envs(state_options(tmp_path))

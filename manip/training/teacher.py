@@ -38,11 +38,17 @@ def expert_of(config: TrainConfig, batch: TaskBatch) -> Policy | bool:
     """What labels a run's steps: a policy, the task's expert (True), or none (False).
 
     Raises:
-        UserError: there is no such policy, or it does not fit the run.
+        UserError: there is no such policy, it does not fit the run, or sees cameras.
     """
     if config.teacher is None:
         return imitates(config) and config.dataset is None
-    return fitting_policy(config.teacher, config, batch)
+    teacher = fitting_policy(config.teacher, config, batch)
+    if teacher.card.cameras:
+        raise UserError(
+            f"the policy in {config.teacher} sees cameras: a teacher must see the "
+            "state, so that its labels do not depend on the images of the training"
+        )
+    return teacher
 
 
 def teacher_digest(config: TrainConfig) -> str:
@@ -57,7 +63,6 @@ def fitting_policy(where: str, config: TrainConfig, batch: TaskBatch) -> Policy:
         UserError: there is none, or it is of another robot, controller or observation.
     """
     policy = load_policy(where)
-    check_observation(policy.card.observation, batch.observation_spec)
     for name in ("robot", "controller", "control_freq"):
         trained, wanted = getattr(policy.card, name), getattr(config, name)
         if trained != wanted:
@@ -65,6 +70,7 @@ def fitting_policy(where: str, config: TrainConfig, batch: TaskBatch) -> Policy:
                 f"the policy in {where} was trained with {name} {trained}, not "
                 f"{wanted}: it does not fit this run"
             )
+    check_observation(policy.card.observation, batch.observation_spec)
     return policy
 
 
