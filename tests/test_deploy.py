@@ -27,6 +27,7 @@ from manip.deploy.runner import Runner, rotation_of
 from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.interface import interface_of
 from manip.envs.task_registry import load_task
+from manip.envs.traced import Traced
 from manip.errors import UserError
 from manip.programs import cli, export
 
@@ -156,6 +157,12 @@ def test_a_formula_is_evaluated() -> None:
     text = "concat(clip(10.0 * (a - [1, 0, 0]), -5, 5)[:2], vector(a[2] > 0.5))"
     values = {"a": np.array([1.2, 3.0, 0.7])}
     assert evaluate(parse_formula(text), values).tolist() == pytest.approx([2, 5, 1])
+
+
+@pytest.mark.parametrize("axis", [1, -1])
+def test_a_test_of_all_entries_of_a_row_has_a_formula(axis: int) -> None:
+    inside = (np.abs(Traced(np.ones((4, 3)), "a")) < 2).all(axis=axis)
+    assert (inside.text, inside.value.tolist()) == ("all((abs(a) < 2))", [True] * 4)
 
 
 def test_a_policy_of_an_earlier_version_loads(tmp_path: Path) -> None:

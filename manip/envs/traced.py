@@ -31,7 +31,7 @@ CALLS: dict[Any, str] = {
 ROWWISE: dict[Any, str] = {
     np.all: "all", np.any: "any", np.sum: "sum", np.mean: "mean", np.linalg.norm: "norm"
 }  # fmt: skip
-"""Functions that reduce the last axis, if called with axis=1."""
+"""Functions that reduce the last axis, if called with axis=1 or axis=-1."""
 
 
 class Traced(NDArrayOperatorsMixin):
@@ -193,7 +193,8 @@ def _function_text(
             f"vector({t})" if o and t else t for t, o in zip(texts, one, strict=True)
         ]
         return _call("concat", parts), ()
-    if function in ROWWISE and along_row and np.ndim(_value(args[0])) == 2:
+    last = along_row or options == {"axis": -1}
+    if function in ROWWISE and last and np.ndim(_value(args[0])) == 2:
         return _call(ROWWISE[function], [text_of(args[0], rows)]), ()
     if function in CALLS and not options:
         return _call(CALLS[function], [text_of(item, rows) for item in args]), ()
