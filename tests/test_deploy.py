@@ -23,7 +23,7 @@ from manip.cameras import CameraConfig
 from manip.deploy import __main__ as deploy
 from manip.deploy.exported_policy import open_policy
 from manip.deploy.formulas import LONGEST, evaluate, parse_formula
-from manip.deploy.runner import Runner, rotation_of
+from manip.deploy.runner import Runner, _image, rotation_of
 from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.interface import interface_of
 from manip.envs.task_registry import load_task
@@ -226,6 +226,28 @@ def test_a_wrong_measurement_is_named(change, message, exported) -> None:
     measured = {name: v for name, v in measured.items() if v is not None}
     with pytest.raises(ValueError, match=message):
         runner.observe(measured)
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.zeros((4, 4, 3), np.float32),
+        np.full((4, 4, 3), 300),
+        np.full((4, 4, 3), -1),
+        np.full((4, 4, 3), 10**30, object),
+        np.zeros((3, 4, 4), np.uint8),
+        np.zeros(48, np.uint8),
+    ],
+)
+def test_an_array_that_is_no_image_is_refused(image: np.ndarray) -> None:
+    with pytest.raises(ValueError, match=r"numbers from 0 to 255 of shape \[4, 4"):
+        _image("wrist_image", image.tolist(), [4, 4, 3])
+
+
+def test_an_image_may_come_as_lists() -> None:
+    image = np.arange(48).reshape(4, 4, 3)
+    found = _image("wrist_image", image.tolist(), [4, 4, 3])
+    np.testing.assert_array_equal(found, image.astype(np.uint8))
 
 
 def test_the_runner_needs_neither_torch_nor_mujoco(exported: Path) -> None:

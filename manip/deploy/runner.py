@@ -63,7 +63,8 @@ class Runner:
         """Part of the observation -> numbers float32, or a camera's image uint8.
 
         Raises:
-            ValueError: a measurement is missing, of another shape, or not finite.
+            ValueError: a measurement is missing, of another shape, not finite, or no
+                image of whole numbers from 0 to 255.
         """
         values: dict[str, Array] = {"gripper_closing": np.array(self.closing)}
         for name, expected in self.card["measurements"].items():
@@ -86,7 +87,7 @@ class Runner:
         if part["role"] == "camera":
             if name not in measured:
                 raise ValueError(f"{name} is missing: uint8 {part['shape']}")
-            return np.asarray(measured[name], np.uint8).reshape(part["shape"])
+            return _image(name, measured[name], part["shape"])
         numbers = np.asarray(evaluate(self._formulas[name], values), np.float32)
         return numbers.reshape(part["shape"])
 
@@ -126,6 +127,18 @@ class Runner:
         if len(motion) == 6:
             rotation = rotation_of(motion[3:]) @ rotation
         return turn.T @ away + motion[:3], rotation, None
+
+
+def _image(name: str, value: Any, shape: list[int]) -> Array:
+    """The image [H, W, C] as uint8; any other array would be seen as nonsense."""
+    image = np.asarray(value)
+    pixels = image.dtype.kind in "iu" and image.shape == tuple(shape)
+    if not pixels or image.min() < 0 or image.max() > 255:
+        raise ValueError(
+            f"{name} must be whole numbers from 0 to 255 of shape {shape}, not "
+            f"{image.dtype} of shape {[*image.shape]}"
+        )
+    return image.astype(np.uint8)
 
 
 def rotation_of(vector: Array) -> Array:
