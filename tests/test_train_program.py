@@ -169,6 +169,14 @@ def test_a_buffer_that_does_not_fit_is_refused_before_it_is_made(monkeypatch) ->
     check_memory(recipe("Lift", "ppo"), Spaces(40, 7))
 
 
+def test_a_buffer_larger_than_the_machine_is_refused_for_a_short_run(monkeypatch):
+    config = recipe("Lift", "sac")
+    large = replace(config, agent=replace(config.agent, buffer_size=20_000_000))
+    monkeypatch.setattr(memory, "_meminfo", lambda *_: 2**32)
+    with pytest.raises(UserError, match=r"of which 4.0 GiB are free"):
+        check_memory(replace(large, steps=100_000), Spaces(40, 7))
+
+
 def test_memory_that_a_short_run_never_fills_is_not_needed(monkeypatch) -> None:
     config = recipe("Lift", "sac")
     large = replace(config, agent=replace(config.agent, buffer_size=20_000_000))

@@ -29,7 +29,7 @@ def check_memory(config: TrainConfig, spaces: Spaces) -> None:
     dims = spaces.observation_dim, spaces.action_dim
     copies = load_algorithm(config.algo).image_copies
     step = row_bytes(*dims, spaces.inputs.cameras, copies)
-    _compare(capacity * step, address_space(), capacity)
+    _compare(capacity * step, allocatable_memory(), capacity)
     extra = config.steps if config.until else 0
     _compare(min(capacity, config.steps + extra) * step, available_memory(), capacity)
 
@@ -43,21 +43,30 @@ def _compare(needed: int, available: int, capacity: int) -> None:
         )
 
 
-def address_space() -> int:
-    """Bytes that this process may still allocate under `ulimit -v`."""
+def allocatable_memory() -> int:
+    """Bytes that this process may still allocate: under `ulimit -v`, and in one piece.
+
+    Linux refuses a piece that is larger than memory and swap, even if most of it will
+    not be used.
+    """
+    machine = _meminfo("MemTotal", "SwapTotal")
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit == resource.RLIM_INFINITY:
-        return 2**63
+        return machine
     pages = int(Path("/proc/self/statm").read_text().split()[0])
-    return max(0, limit - pages * os.sysconf("SC_PAGE_SIZE"))
+    return min(machine, max(0, limit - pages * os.sysconf("SC_PAGE_SIZE")))
 
 
 def available_memory() -> int:
     """Bytes of memory that are free on this machine, or in this container."""
+    return min(_meminfo("MemAvailable", "SwapFree"), _container_memory())
+
+
+def _meminfo(*names: str) -> int:
+    """The sum of entries of /proc/meminfo [bytes]."""
     lines = Path("/proc/meminfo").read_text().splitlines()
     kibibytes = {line.split(":")[0]: int(line.split()[1]) for line in lines}
-    machine = (kibibytes["MemAvailable"] + kibibytes["SwapFree"]) * 1024
-    return min(machine, _container_memory())
+    return sum(kibibytes[name] for name in names) * 1024
 
 
 def _container_memory() -> int:
