@@ -131,6 +131,28 @@ def test_encoders_are_matched_by_their_cameras() -> None:
     )
 
 
+def student(*parts: ObservationPart) -> Policy:
+    """A policy that sees the part a, besides others, and one camera."""
+    spec = ObservationSpec((*spec_of("a").parts, *parts))
+    card = load_policy(finished("bc").config.folder).card
+    actor = image_actor(spec.dim, cameras=1)
+    return Policy(replace(card, observation=spec.to_dict()), actor)
+
+
+def test_parts_that_only_the_policy_sees_are_named() -> None:
+    policy = student(*spec_of("goal").parts, camera("left"))
+    spec = ObservationSpec((*spec_of("a").parts, camera("left")))
+    initial = initial_actor(policy, image_actor(2, 1), spec, "x")
+    assert (initial.new, initial.unused) == ([], ["goal"])
+
+
+def test_a_policy_that_sees_images_of_another_size_is_refused() -> None:
+    large = ObservationPart("left_image", (16, 16, 3), "uint8", "camera")
+    spec = ObservationSpec((*spec_of("a").parts, camera("left")))
+    with pytest.raises(UserError, match=r"of shape \[16, 16, 3\], not \[8, "):
+        initial_actor(student(large), image_actor(2, 1), spec, "x")
+
+
 def test_an_actor_that_sees_cameras_does_not_start_from_one_that_does_not() -> None:
     policy = load_policy(finished("bc").config.folder)
     with pytest.raises(UserError, match="in x sees the state: it starts an actor that"):

@@ -18,10 +18,13 @@ class InitialActor(NamedTuple):
     Attributes:
         weights: a state_dict of the new actor.
         new: what the policy does not provide, in words; empty if all is loaded.
+        unused: parts of the observation that the policy sees, and the new actor does
+            not.
     """
 
     weights: dict[str, Tensor]
     new: list[str]
+    unused: list[str]
 
 
 def initial_actor(
@@ -39,10 +42,12 @@ def initial_actor(
         where: the policy's place, for errors.
 
     Raises:
-        UserError: the policy has another form, or knows none of the parts.
+        UserError: the policy has another form, knows none of the parts, or sees images
+            of another size.
     """
     _check_form(policy.actor, actor, where)
     known = policy.card.observation_spec
+    _check_images(known, spec, where)
     columns, unknown = _columns(known, spec)
     if len(unknown) == len(spec.parts):
         raise UserError(
@@ -60,7 +65,9 @@ def initial_actor(
     if isinstance(actor.norm, RunningNorm):
         weights |= _norm(old, columns, bool(unknown))
     other = len(policy.actor.action_scale) != len(actor.action_scale)
-    return InitialActor(weights, [*unknown, *(["the last layer"] if other else [])])
+    unused = [name for name in known.names if name not in spec.names]
+    new = [*unknown, *(["the last layer"] if other else [])]
+    return InitialActor(weights, new, unused)
 
 
 def _shape(tensor: Tensor | None) -> torch.Size | None:
@@ -113,6 +120,18 @@ def _check_form(old: Any, new: Any, where: str) -> None:
             f"{'; '.join(different)}. Set these options of --agent as the policy has "
             "them, or choose an algorithm with actors of its kind"
         )
+
+
+def _check_images(old: ObservationSpec, new: ObservationSpec, where: str) -> None:
+    """Raise `UserError` if a camera of both has images of other shapes."""
+    images = {part.name: part for part in old.parts if part.role == "camera"}
+    for part in new.parts:
+        if (known := images.get(part.name, part)) != part:
+            raise UserError(
+                f"the policy in {where} sees {part.name} of shape {[*known.shape]}, "
+                f"not {[*part.shape]}: its encoder would start from nothing. Leave out "
+                "--image-size and --frames"
+            )
 
 
 def _columns(old: ObservationSpec, new: ObservationSpec) -> tuple[Tensor, list[str]]:

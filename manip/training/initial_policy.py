@@ -42,19 +42,27 @@ def starting_from(config: TrainConfig, where: str) -> TrainConfig:
     names = {field.name for field in fields(config.agent)}
     fitting = {name: value for name, value in options.items() if name in names}
     agent = replace(config.agent, **fitting)
-    return replace(config, init=where, agent=agent, **_camera_options(policy.card))
+    sees = _camera_options(policy.card, config.task)
+    return replace(config, init=where, agent=agent, **sees)
 
 
-def _camera_options(card: PolicyCard) -> dict[str, Any]:
-    """Options of the cameras that a policy sees; none if it sees the state."""
+def _camera_options(card: PolicyCard, task: str) -> dict[str, Any]:
+    """Options of what a policy with cameras sees; none if it sees the state.
+
+    On another task the parts besides the images are that task's.
+    """
     if (cameras := card.cameras) is None:
         return {}
-    return {
+    options: dict[str, Any] = {
         "observe": "cameras",
         "cameras": cameras.names,
         "image_size": cameras.size,
+        "image_quality": card.image_quality or "lean",
         "frames": cameras.frames,
     }
+    if card.task == task:
+        options["parts"] = tuple(card.observation_spec.slices)
+    return options
 
 
 def observation_of(where: str) -> Observe:
@@ -84,7 +92,8 @@ def start_agent(config: TrainConfig, agent: Agent, env: TaskEnv) -> tuple[str, .
     agent.start_from(initial.weights, config.init_std)
     trained = f"{policy.card.task}, {policy.card.robot}, {policy.card.algo}"
     new = ", ".join([*initial.new, "the critics"])
-    return (f"actor from {where} ({trained}): layers loaded; new: {new}",)
+    unused = f"; unused: {', '.join(initial.unused)}" if initial.unused else ""
+    return (f"actor from {where} ({trained}): layers loaded; new: {new}{unused}",)
 
 
 def _check_actions(card: PolicyCard, config: TrainConfig, where: str) -> None:
