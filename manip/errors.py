@@ -26,6 +26,9 @@ def at_least(least: int, name: str, value: object) -> None:
         raise UserError(f"{name} must be at most {MOST}, not {shown(value)}")
 
 
+ENDINGS_IN_IES = ("gy", "ry", "ty")
+"""Of kinds whose plural ends in "ies": memory, quality."""
+
 _brief = reprlib.Repr()
 _brief.maxstring = _brief.maxother = 200
 
@@ -53,7 +56,7 @@ def unknown(kind: str, name: object, known: Iterable[str]) -> UserError:
     close = get_close_matches(shown(name).strip("'").casefold(), names, n=1)
     hint = f"did you mean {names[close[0]]!r}? " if close else ""
     listing = ", ".join(names.values())
-    kinds = f"{kind[:-1]}ies" if kind.endswith(("ry", "gy")) else f"{kind}s"
+    kinds = f"{kind[:-1]}ies" if kind.endswith(ENDINGS_IN_IES) else f"{kind}s"
     return UserError(f"unknown {kind} {shown(name)}: {hint}known {kinds}: {listing}")
 
 

@@ -57,7 +57,7 @@ def check_looks(value: object) -> Looks:
         return value
     if isinstance(value, str):
         if value not in SUITES:
-            raise unknown("suite of looks", value, SUITES)
+            raise unknown("looks suite", value, SUITES)
         suite, _, number = value.rpartition("-")
         if number.isdigit():
             return Looks(_SUITES[suite], 1.0, (int(number),))

@@ -380,7 +380,7 @@ def test_a_suite_has_three_looks_that_return(lift_scene: Scene) -> None:
     ("options", "message"),
     [
         ({"looks": 2.0}, "a strength from 0 to 1 .*, not 2.0"),
-        ({"looks": "unsen"}, "unknown suite of looks 'unsen': did you mean 'unseen'"),
+        ({"looks": "unsen"}, "unknown looks suite 'unsen': did you mean 'unseen'"),
         ({"looks": 0.5, "cameras": None}, "looks change images only"),
         ({"looks": 0.5, "backend": "stock"}, "choose the native backend for looks 0.5"),
     ],
