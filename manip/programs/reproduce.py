@@ -192,15 +192,19 @@ def _evaluated(run: TrainConfig, result: JobResult) -> Run:
 def choice_rate(folder: Path) -> float:
     """Rate of success_held in the episodes by which a seed is chosen.
 
-    They are native and exact, and differ from those of training and evaluation.
+    They are native and exact, with images as in training, and differ from those of
+    training and evaluation.
     """
     policy = load_policy(folder)
+    cameras = policy.card.cameras
+    if cameras and policy.card.image_quality:
+        cameras = replace(cameras, quality=policy.card.image_quality)
     settings = EpisodeSettings(
         task=policy.card.task,
         robot=policy.card.robot_config,
         observation=policy.card.observation,
-        cameras=policy.card.cameras,
-        episodes=CAMERA_EPISODES if policy.card.cameras else CHOICE_EPISODES,
+        cameras=cameras,
+        episodes=CAMERA_EPISODES if cameras else CHOICE_EPISODES,
         purpose=CHOICE,
         backend="native",
     )
