@@ -17,6 +17,7 @@ from manip.agents.demonstration import Demonstration
 from manip.envs.adapters.torchrl import TaskEnv
 from manip.envs.backends.native_batch import NativeBatch
 from manip.envs.task import Task
+from manip.envs.task_registry import load_task
 from manip.errors import UserError
 from manip.sim.scene import Scene
 from manip.training.build import training_envs
@@ -145,3 +146,15 @@ def test_an_expert_grasps_again_after_it_has_missed(
         action[:, -1] = torch.where(torch.tensor(step < 12), 1.0, action[:, -1])
         state = env.step(state.set("action", action))["next"]
     assert state["success"].all()
+
+
+def test_the_expert_of_stack_recovers_from_action_noise(scene_of) -> None:
+    stack = load_task("Stack")
+    batch = NativeBatch(stack, 16, scene=scene_of(stack), threads=2)
+    env = TaskEnv(batch, expert=True)
+    state, random = env.reset(), torch.Generator().manual_seed(0)
+    for _ in range(95):
+        action = state["expert_action"]
+        noise = 0.1 * torch.randn(action.shape, generator=random)
+        state = env.step(state.set("action", (action + noise).clamp(-1, 1)))["next"]
+    assert state["success"].float().mean() > 0.9

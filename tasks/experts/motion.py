@@ -26,12 +26,21 @@ def move_action(offset: Array, grip: Array) -> Array:
     return np.concatenate([move, no_turn, grip[:, None]], axis=1)
 
 
-def upright_turn(eef_mat: Array, turn: Array, lean: Array | float = 0.0) -> Array:
+def upright_turn(
+    eef_mat: Array, turn: Array, lean: Array | float = 0.0, tolerance: float = 0.0
+) -> Array:
     """[n, 3]: the action that points the tool down and turns it by `turn` [n] rad.
 
-    lean: [n, 3], added to the direction in which it points.
+    Args:
+        eef_mat: [n, 9], the tool's rotation.
+        turn: [n] rad.
+        lean: [n, 3], added to the direction in which it points.
+        tolerance: tilt [rad] that is not corrected.
     """
     tilt = np.cross(eef_mat[:, [2, 5, 8]], lean - UP)
+    if tolerance:
+        length = np.linalg.norm(tilt, axis=1, keepdims=True)
+        tilt *= 1 - tolerance / np.maximum(length, tolerance)
     return np.clip(TURN_GAIN * (tilt + turn[:, None] * UP), -1, 1)
 
 

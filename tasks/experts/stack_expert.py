@@ -3,7 +3,7 @@
 import numpy as np
 
 from manip.envs.task import Measures
-from manip.tasks.experts.motion import TURN_GAIN, UP, move_action
+from manip.tasks.experts.motion import UP, move_action, upright_turn
 from manip.tasks.rotations import nearest_turn, rotation_matrix, yaw_angle
 
 Array = np.ndarray
@@ -17,7 +17,7 @@ AIM = 0.013
 YAW_RADIUS = 0.05
 """Weight [m/rad] of the yaw in that error."""
 TILT = 0.05
-"""Tilt of the hand [rad] that is left as it is: some arms do not reach A upright."""
+"""Tilt of the hand [rad] that is not corrected: some arms do not reach A upright."""
 PLACE = 0.01
 """Distance [m] of A aside of B up to which it goes down to B."""
 
@@ -40,7 +40,8 @@ def stack_cubes(m: Measures, height: float) -> Array:
     leave = np.where(grip < -0.5, 0.1, 0.0)[:, None] * UP
     offset = np.where(released[:, None], leave, offset)
     action = move_action(offset, np.where(closing, 1.0, -1.0))
-    action[:, 3:6] = _rotation(m["eef_mat"], turn * ~(closing | released))
+    turn = turn * ~(closing | released)
+    action[:, 3:6] = upright_turn(m["eef_mat"], turn, tolerance=TILT)
     return action
 
 
@@ -78,11 +79,3 @@ def _turn_to_a(m: Measures) -> Array:
     crowded = (m["aside"] < CROWDED) & (m["height"] < LIFTED)
     turn = nearest_turn(cube - hand, np.pi / 2)
     return np.where(crowded, nearest_turn(aligned - hand, np.pi), turn)
-
-
-def _rotation(eef_mat: Array, turn: Array) -> Array:
-    """[n, 3]: the action that yaws by `turn` [n] rad, and lessens a tilt above TILT."""
-    tilt = np.cross(eef_mat[:, [2, 5, 8]], -UP)
-    tilted = np.linalg.norm(tilt, axis=1, keepdims=True)
-    tilt *= 1 - np.minimum(TILT / np.maximum(tilted, TILT), 1)
-    return np.clip(TURN_GAIN * (tilt + turn[:, None] * UP), -1, 1)
