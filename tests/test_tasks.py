@@ -8,6 +8,7 @@ from scripted import ALL_TASKS
 from twin import update_memory
 
 from manip.envs.episode_streams import EpisodeStreams
+from manip.envs.observation_formulas import observation_formulas
 from manip.envs.task import Measures, Task
 from manip.envs.task_registry import load_task, task_names
 from manip.rewards.compose import weighted_sum
@@ -234,6 +235,17 @@ def test_measuring_does_not_change_the_readings(task: Task, rollouts: Rollouts) 
         task.reward_terms(m, reward)
     for name, values in rollouts.readings[5].items():
         np.testing.assert_array_equal(read[name], values)
+
+
+NO_FORMULA = {"NutAssembly", "PickPlace", "Wipe", "TwoArmLift", "TwoArmPegInHole"}
+"""Tasks with parts that depend on memory, on many bodies, or on two robots."""
+
+
+def test_every_observed_part_has_a_formula(task: Task, rollouts: Rollouts) -> None:
+    read = rollouts.readings[0]
+    parts = task.observe(task.measure(read)).keys()
+    if task.name not in NO_FORMULA:
+        assert observation_formulas(task, read).keys() == parts
 
 
 # Milestones and success

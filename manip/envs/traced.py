@@ -179,7 +179,7 @@ def _function_text(
     function: Any, args: Any, options: Any, rows: int
 ) -> tuple[str, tuple[str, ...]]:
     """Formula of a numpy function's result, and those of its entries if stacked."""
-    along_row = options.get("axis") == 1 and len(options) == 1
+    along_row = options in ({"axis": 1}, {"axis": -1})
     if function is np.stack and along_row:
         items = tuple(text_of(item, rows) for item in args[0])
         flat = all(np.ndim(_value(item)) == 1 for item in args[0])
@@ -193,8 +193,7 @@ def _function_text(
             f"vector({t})" if o and t else t for t, o in zip(texts, one, strict=True)
         ]
         return _call("concat", parts), ()
-    last = along_row or options == {"axis": -1}
-    if function in ROWWISE and last and np.ndim(_value(args[0])) == 2:
+    if function in ROWWISE and along_row and np.ndim(_value(args[0])) == 2:
         return _call(ROWWISE[function], [text_of(args[0], rows)]), ()
     if function in CALLS and not options:
         return _call(CALLS[function], [text_of(item, rows) for item in args]), ()
