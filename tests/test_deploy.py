@@ -246,8 +246,8 @@ def test_an_array_that_is_no_image_is_refused(image: np.ndarray) -> None:
 
 def test_an_image_may_come_as_lists() -> None:
     image = np.arange(48).reshape(4, 4, 3)
-    found = _image("wrist_image", image.tolist(), [4, 4, 3])
-    np.testing.assert_array_equal(found, image.astype(np.uint8))
+    checked = _image("wrist_image", image.tolist(), [4, 4, 3])
+    np.testing.assert_array_equal(checked, image.astype(np.uint8))
 
 
 def test_the_runner_needs_neither_torch_nor_mujoco(exported: Path) -> None:

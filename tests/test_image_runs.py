@@ -162,6 +162,7 @@ def test_a_teacher_labels_every_state_with_its_own_action(tmp_path: Path) -> Non
         ({"teacher": "no such folder"}, "holds no policy"),
         ({"algo": "sac", "agent": {}}, "sac imitates no --teacher"),
         ({"robot": "Jaco"}, "trained with robot Panda, not Jaco"),
+        ({"task": "Lift", "robot": "Jaco"}, "trained with robot Panda, not Jaco"),
         ({"control_freq": 10}, "trained with control_freq 20, not 10"),
         ({"task": "Lift"}, "on another observation .* closing is missing"),
     ],

@@ -169,7 +169,7 @@ def test_a_buffer_that_does_not_fit_is_refused_before_it_is_made(monkeypatch) ->
     check_memory(recipe("Lift", "ppo"), Spaces(40, 7))
 
 
-def test_a_buffer_larger_than_the_machine_is_refused_for_a_short_run(monkeypatch):
+def test_a_buffer_larger_than_the_memory_is_refused(monkeypatch) -> None:
     config = recipe("Lift", "sac")
     large = replace(config, agent=replace(config.agent, buffer_size=20_000_000))
     monkeypatch.setattr(memory, "_meminfo", lambda *_: 2**32)

@@ -129,7 +129,7 @@ def _check_images(old: ObservationSpec, new: ObservationSpec, where: str) -> Non
         if (known := images.get(part.name, part)) != part:
             raise UserError(
                 f"the policy in {where} sees {part.name} of shape {[*known.shape]}, "
-                f"not {[*part.shape]}: its encoder would start from nothing. Leave out "
+                f"not {[*part.shape]}: its encoder does not fit. Leave out "
                 "--image-size and --frames"
             )
 

@@ -130,7 +130,7 @@ class Runner:
 
 
 def _image(name: str, value: Any, shape: list[int]) -> Array:
-    """The image [H, W, C] as uint8; any other array would be seen as nonsense."""
+    """The image [H, W, C] as uint8; other arrays are refused, not converted."""
     image = np.asarray(value)
     pixels = image.dtype.kind in "iu" and image.shape == tuple(shape)
     if not pixels or image.min() < 0 or image.max() > 255:
