@@ -15,7 +15,7 @@ import numpy as np
 
 from manip.arrays import constant, floats, namespace
 from manip.envs.episode_streams import EpisodeStreams
-from manip.envs.task import Measures, Start, Task, Weights
+from manip.envs.task import Measures, Start, Task, Waypoint, Weights
 from manip.rewards.kernels import ramp
 from manip.sim.scene import Scene
 from manip.sim.sensors import Sensors
@@ -33,6 +33,7 @@ from manip.tasks.offsets import coarse, fine
 from manip.tasks.placement import poses_with_any_yaw, scatter
 from manip.tasks.rotations import cos_sin, rotation_matrix, yaw_angle
 from manip.tasks.stack_rewards import HALF, STACKED, SUCCESS_HEIGHT
+from manip.tasks.stack_waypoints import NAMES, place_cubes
 
 Array = np.ndarray
 
@@ -66,6 +67,7 @@ class Stack(Task):
     )
     horizon = 100
     milestone_names = ("near", "grasp", "lift", "aligned", "on", "stack")
+    waypoint_names = NAMES
     weights: ClassVar[Weights] = rewards.WEIGHTS
 
     def sample_start(self, scene: Scene, streams: EpisodeStreams) -> Start:
@@ -78,6 +80,16 @@ class Stack(Task):
             cube = poses_with_any_yaw(streams, spots[name], height)
             qpos[:, scene.free_qpos(f"{name}_main")] = cube
         return Start(qpos)
+
+    def sample_waypoint(
+        self, milestone: str, scene: Scene, streams: EpisodeStreams
+    ) -> Waypoint:
+        """See `manip.tasks.stack_waypoints`."""
+        start = self.sample_start(scene, streams)
+        a, b = (scene.free_qpos(f"{name}_main") for name in HALF)
+        for cube in a, b:
+            start.qpos[:, cube][:, 2] -= DROP
+        return place_cubes(milestone, streams, start, a, b)
 
     def measure(self, read: Measures) -> Measures:
         """Add offsets between the tool and the cubes, and the contacts of A.

@@ -289,7 +289,7 @@ SHIPPED = [
     (name, waypoint)
     for name in (
         *("Lift", "NutAssembly", "NutAssemblySquare", "PickGoal", "PickPlace"),
-        *("PickPlaceMilk", "Push", "ToolHang"),
+        *("PickPlaceMilk", "Push", "Stack", "ToolHang"),
     )
     for waypoint in load_task(name).waypoint_names
 ]
