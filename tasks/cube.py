@@ -83,7 +83,7 @@ def must_align(m: Measures) -> bool:
 
     Such a gripper must align with the cube's faces or edges before it closes.
     """
-    wide = m["gripper_narrowest"] > CUBE_WIDTH
+    wide = _too_wide(m["gripper_narrowest"])
     slow = m["gripper_speed"] < SLOW_GRIPPER
     return bool(wide | slow)
 
@@ -103,7 +103,12 @@ def _gripped_turn(narrowest: Array | float) -> Array:
 
     narrowest: gap [m] between the pads of the shut gripper.
     """
-    return np.where(narrowest > CUBE_WIDTH, np.pi / 4, 0.0)
+    return np.where(_too_wide(narrowest), np.pi / 4, 0.0)
+
+
+def _too_wide(narrowest: Array | float) -> Array | bool:
+    """Whether the shut gripper does not touch the faces of the cube."""
+    return narrowest > CUBE_WIDTH
 
 
 def observe_cube(m: Measures) -> dict[str, Array]:
