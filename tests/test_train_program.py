@@ -173,7 +173,7 @@ def test_a_buffer_larger_than_the_memory_is_refused(monkeypatch) -> None:
     config = recipe("Lift", "sac")
     large = replace(config, agent=replace(config.agent, buffer_size=20_000_000))
     monkeypatch.setattr(memory, "_meminfo", lambda *_: 2**32)
-    with pytest.raises(UserError, match=r"of which 4.0 GiB are free"):
+    with pytest.raises(UserError, match=r"and 4.0 GiB can be allocated"):
         check_memory(replace(large, steps=100_000), Spaces(40, 7))
 
 
@@ -182,5 +182,5 @@ def test_memory_that_a_short_run_never_fills_is_not_needed(monkeypatch) -> None:
     large = replace(config, agent=replace(config.agent, buffer_size=20_000_000))
     monkeypatch.setattr(memory, "available_memory", lambda: 2**30)
     check_memory(replace(large, steps=100_000), Spaces(40, 7))
-    with pytest.raises(UserError, match=r"of which 1.0 GiB are free: .*buffer-size"):
+    with pytest.raises(UserError, match=r"and 1.0 GiB can be allocated: .*buffer-size"):
         check_memory(replace(large, steps=10**8), Spaces(40, 7))

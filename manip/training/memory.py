@@ -38,8 +38,8 @@ def _compare(needed: int, available: int, capacity: int) -> None:
     if needed > available:
         raise UserError(
             f"not enough memory: a replay buffer of {capacity:,} steps needs at least "
-            f"{needed / 2**30:,.1f} GiB, of which {available / 2**30:,.1f} GiB are "
-            "free: choose a smaller --agent.buffer-size"
+            f"{needed / 2**30:,.1f} GiB, and {available / 2**30:,.1f} GiB can be "
+            "allocated: choose a smaller --agent.buffer-size"
         )
 
 
