@@ -28,6 +28,7 @@ from manip.tasks.lift import Lift
 from manip.tasks.rotations import tool_rotation
 
 Array = np.ndarray
+FREE = mujoco.mjtJoint.mjJNT_FREE
 DOWN = tool_rotation(np.array([np.pi / 2]), np.zeros((1, 2)))
 
 
@@ -103,6 +104,19 @@ def test_without_gravity_an_object_stays_in_the_air(scene: Scene) -> None:
         engine.step(np.zeros((1, 7)))
     assert engine.read()["cube_pos"][0, 2] == pytest.approx(1.3, abs=1e-6)
     assert scene.physics.opt.gravity[2] == mujoco.MjOption().gravity[2]
+
+
+def test_without_gravity_a_pushed_object_stops(scene: Scene) -> None:
+    engine = BatchEngine(weightless(scene), 1, threads=1)
+    qpos, qvel = scene.layout.qpos[None].copy(), np.zeros((1, scene.physics.nv))
+    qpos[:, scene.free_qpos("cube_main")] = [0.2, 0.2, 1.3, 1, 0, 0, 0]
+    qvel[0, scene.physics.jnt_dofadr[scene.physics.jnt_type == FREE]] = 0.1
+    engine.set_state(np.arange(1), qpos, qvel)
+    for _ in range(20):
+        engine.step(np.zeros((1, 7)))
+    read = engine.read()
+    assert 0 < read["cube_pos"][0, 0] - 0.2 < 0.006
+    assert np.abs(read["cube_linvel"]).max() < 1e-3
 
 
 def test_states_hold_the_object_and_depend_on_the_seed_alone(scene: Scene) -> None:

@@ -5,7 +5,8 @@ A candidate of `Task.sample_waypoint` becomes a state in four steps:
 1. Inverse kinematics bring the tool to its pose, with the gripper open.
 2. Nothing may penetrate anything by more than `DEEPEST`.
 3. If the waypoint is closed, the gripper closes without gravity, so that an object in
-   the air stays between the fingers until it is gripped.
+   the air stays between the fingers, until the milestone has lasted for `GRIP_STEPS`
+   control steps. (A slow gripper that closes fully squeezes an object out.)
 4. With gravity, the arm stays for `HOLD_STEPS` control steps. In the second half of
    them the milestone must be reached all the time, and the task's success never.
 
@@ -41,8 +42,9 @@ ROUNDS = 40
 """Rounds of candidates after which a waypoint that has too few states is an error."""
 DEEPEST = 0.001
 """Deepest penetration [m] of a candidate, before the gripper closes."""
-SPARE_STEPS = 4
-"""Control steps for which the gripper goes on closing once it is commanded fully."""
+GRIP_STEPS = 20
+"""Control steps for which the milestone must last before the gripper stops closing, and
+for which it goes on closing once it is commanded fully."""
 HOLD_STEPS = 10
 """Control steps for which the state must last under gravity."""
 FIRST_FAMILY = 2
@@ -161,6 +163,8 @@ class WaypointMaker:
         depth = penetration(self._scene, qpos, start.fields)
         free = reached & (depth < DEEPEST)
         self._place(waypoint, qpos)
+        if waypoint.closed:
+            self._close(milestone)
         valid = free & self._lasting(milestone, waypoint.closed)
         flags = np.ones(CANDIDATES, bool), reached, free, valid
         counts = Yield(*(int(each.sum()) for each in flags))
@@ -186,13 +190,19 @@ class WaypointMaker:
             fields=start.fields,
         )
 
+    def _close(self, milestone: str) -> None:
+        """Close the grippers, without gravity, until the milestone has lasted."""
+        lasted = np.zeros(CANDIDATES, int)
+        for _ in range(self._closing_steps()):
+            step = self._floating.step(self._action(lasted < GRIP_STEPS))
+            lasted = np.where(step.milestones[milestone], lasted + 1, 0)
+            if (lasted >= GRIP_STEPS).all():
+                break
+
     def _lasting(self, milestone: str, closed: bool) -> Array:
-        """[n] bool: the milestone lasts, with gravity, once the gripper has closed."""
-        action = np.zeros((CANDIDATES, self._floating.action_dim))
-        action[:, len(self._robot.arm.scale) :] = 1.0 if closed else -1.0
-        for _ in range(self._closing_steps() if closed else 0):
-            self._floating.step(action)
+        """[n] bool: with gravity, the milestone lasts."""
         self._heavy.engine.restore(self._floating.engine.save())
+        action = self._action(1.0 if closed else -1.0)
         lasting = np.ones(CANDIDATES, bool)
         for number in range(HOLD_STEPS):
             step = self._heavy.step(action)
@@ -200,10 +210,16 @@ class WaypointMaker:
                 lasting &= step.milestones[milestone] & ~step.success
         return lasting & ~self._heavy.engine.broken
 
+    def _action(self, gripper: Array | float) -> Array:
+        """[n, A]: the arm waits; `gripper` [n] or a number for all of them."""
+        action = np.zeros((CANDIDATES, self._floating.action_dim))
+        action[:, len(self._robot.arm.scale) :] = np.reshape(gripper, (-1, 1))
+        return action
+
     def _closing_steps(self) -> int:
         """Control steps in which the gripper's command goes from open to closed."""
         speed = np.abs(self._robot.gripper.speed).min(initial=1.0)
-        return int(np.ceil(2 / speed)) + SPARE_STEPS
+        return int(np.ceil(2 / speed)) + GRIP_STEPS
 
 
 def measure_yields(task: Task, scene: Scene, rounds: int = 2) -> dict[str, Yield]:

@@ -17,11 +17,21 @@ Array = np.ndarray
 OPENING_STEPS = 40
 """Control steps after which every gripper is open."""
 
+DAMPING = np.repeat([3.0, 0.002], 3)
+"""Damping of a free object's translation [N s/m] and rotation [N m s/rad] without
+gravity. A cube of 70 g that one finger pushes at 0.1 m/s stops after 3 mm, before the
+other finger touches it."""
+
 
 def weightless(scene: Scene) -> Scene:
-    """The scene without gravity: what a hand closes around stays where it is."""
+    """The scene without gravity, its free objects damped (`DAMPING`).
+
+    What a hand closes around stays where it is until it is gripped.
+    """
     physics = copy.copy(scene.physics)
     physics.opt.gravity[:] = 0.0
+    for dof in physics.jnt_dofadr[physics.jnt_type == mujoco.mjtJoint.mjJNT_FREE]:
+        physics.dof_damping[dof : dof + 6] = DAMPING
     return replace(scene, physics=physics)
 
 
