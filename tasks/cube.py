@@ -26,6 +26,8 @@ GRASP_NEAR = 0.012
 
 CUBE_WIDTH = 0.044
 """Largest width [m] of Lift's cube, from face to face (ibid.)."""
+CUBE_DIAGONAL = CUBE_WIDTH * np.sqrt(2)
+"""Its largest width [m], from edge to edge."""
 SLOW_GRIPPER = 0.1
 """Change of the gripper's command per control step below which it is slow and weak."""
 
@@ -88,6 +90,15 @@ def must_align(m: Measures) -> bool:
     return bool(wide | slow)
 
 
+def yaw_matters(m: Measures) -> bool:
+    """Whether the hand does not grasp a cube at any yaw.
+
+    Either it must align, or its fingers come down on a cube that is turned by 45
+    degrees, as the open gripper is narrower than the cube's diagonal.
+    """
+    return must_align(m) or bool(m["gripper_widest"] < CUBE_DIAGONAL)
+
+
 def yaw_to_cube(m: Measures) -> Array:
     """[N] rad about the vertical, from the hand to the cube's nearest pair of faces.
 
@@ -114,10 +125,10 @@ def _too_wide(narrowest: Array | float) -> Array | bool:
 def observe_cube(m: Measures) -> dict[str, Array]:
     """The arm, then the cube: position, rotation, offset, velocity, touches.
 
-    A hand that must align also observes four times its yaw to the cube.
+    A hand whose yaw matters also observes four times its yaw to the cube.
     """
     xp, position = namespace(m["cube_pos"]), m["cube_pos"]
-    turn = {"turn": cos_sin(4 * yaw_to_cube(m))} if must_align(m) else {}
+    turn = {"turn": cos_sin(4 * yaw_to_cube(m))} if yaw_matters(m) else {}
     return {
         **observe_arm(m, CENTRE),
         "cube_pos": 4.0 * (position - constant(TABLE, position)),

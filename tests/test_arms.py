@@ -8,6 +8,7 @@ from manip.envs.episode_streams import EpisodeStreams
 from manip.envs.task import Task
 from manip.robot_config import ROBOTS, RobotConfig
 from manip.sim.batch_engine import BatchEngine
+from manip.sim.robot_model import WIDE
 from manip.sim.scene import Scene, load_scene
 
 Array = np.ndarray
@@ -47,28 +48,32 @@ def test_the_expert_lifts_the_cube_and_keeps_it(lift: Task, scene: Scene) -> Non
     assert np.array(success[-LAST_STEPS:]).all()
 
 
-def test_only_clumsy_hands_observe_their_turn(
+def test_only_hands_whose_yaw_matters_observe_their_turn(
     robot: str, lift: Task, scene: Scene
 ) -> None:
     observation = lift.observe(lift.measure(BatchEngine(scene, 2).read()))
-    assert ("turn" in observation) == (robot in IN_DEFAULT_SUITE)
+    assert ("turn" in observation) == (robot in {"Kinova3", "Jaco", "Sawyer"})
 
 
-def test_a_hand_shuts_to_the_width_that_is_read(lift: Task, scene: Scene) -> None:
+def test_a_hand_opens_and_shuts_to_the_widths_that_are_read(scene: Scene) -> None:
     read = BatchEngine(scene, 1).read()
-    (width,) = read["gripper_narrowest"]
-    assert width - 0.003 <= shut(scene) <= max(width + 0.005, 0.02)
+    (shut,), (opened,) = read["gripper_narrowest"], read["gripper_widest"]
+    assert shut - 0.003 <= gap(scene, 1.0) <= max(shut + 0.005, 0.02)
+    assert opened - 0.002 <= gap(scene, -1.0)
+    assert gap(scene, -1.0) < opened + 0.003 or opened == WIDE
 
 
-def shut(scene: Scene) -> float:
-    """Gap [m] between the pads of the hand in the air, half a second after it shut."""
+def gap(scene: Scene, closing: float) -> float:
+    """Gap [m] between the pads of the hand in the air, a second after it is commanded.
+
+    closing: 1 to shut, -1 to open.
+    """
     model, layout = scene.visual, scene.layout
     data, (arm, gripper) = mujoco.MjData(model), layout.robots[0]
     data.qpos[:] = layout.qpos
+    command = closing * np.sign(gripper.speed)
     for _ in range(500):
-        data.ctrl[gripper.actuator] = gripper.bias + gripper.weight * np.sign(
-            gripper.speed
-        )
+        data.ctrl[gripper.actuator] = gripper.bias + gripper.weight * command
         data.qpos[arm.qpos], data.qvel[arm.dof] = layout.qpos[arm.qpos], 0.0
         mujoco.mj_step(model, data)
     first, second = (

@@ -69,6 +69,7 @@ def test_read_gives_what_its_docstring_says(lift: Task, lift_scene: Scene) -> No
         "joint_low": (7,), "joint_high": (7,),
         "gripper_qpos": (2,), "gripper_qvel": (2,), "gripper_command": (2,),
         "gripper_closing": (), "gripper_speed": (), "gripper_narrowest": (),
+        "gripper_widest": (),
         "eef_pos": (3,), "eef_mat": (9,), "hand_quat": (4,),
         "cube_pos": (3,), "cube_quat": (4,), "cube_linvel": (3,), "cube_angvel": (3,),
         "left_touch": (), "right_touch": (),

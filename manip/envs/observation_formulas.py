@@ -23,7 +23,10 @@ ROWS = 97
 CHECKED = 5
 """Of them, those whose formulas are evaluated and compared."""
 
-CONSTANT = ("gripper_speed", "gripper_narrowest", "rest_pos", "joint_low", "joint_high")
+CONSTANT = (
+    *("gripper_speed", "gripper_narrowest", "gripper_widest"),
+    *("rest_pos", "joint_low", "joint_high"),
+)
 """Readings that never change: their numbers become part of the formulas."""
 
 

@@ -13,6 +13,12 @@ NARROWEST = {"Robotiq85Gripper": 0.052}
 """Gap [m] between the pads of a shut gripper, where the fingers' links collide before
 the pads touch (measured, 51 to 56 mm)."""
 
+WIDEST = {"RethinkGripper": 0.06}
+"""Gap [m] between the pads of an open gripper (measured), if it is less than `WIDE`."""
+
+WIDE = 0.079
+"""Gap [m] between the pads of the open Panda's; those of other arms open further."""
+
 
 class Arm(NamedTuple):
     """The arm's indices and gains for the compiled control laws.

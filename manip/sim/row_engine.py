@@ -193,8 +193,9 @@ class RowEngine(NotCopied, ABC):
 
         Once for all robots: gripper_command, one number an actuator; start_pos, the
         arms at the episode's start; gripper_speed [1], how much gripper_closing changes
-        in a step; gripper_narrowest [1] m between the pads when shut; and everything
-        that the task's `Sensors` name, fields and memory included.
+        in a step; gripper_narrowest and gripper_widest [1] m between the pads when
+        shut and open (see `SceneLayout`); and everything that the task's `Sensors`
+        name, fields and memory included.
         """
         with self._exclusive:
             self._fetch()

@@ -15,6 +15,8 @@ from manip.errors import UserError
 from manip.sim.fields import field_slots
 from manip.sim.robot_model import (
     NARROWEST,
+    WIDE,
+    WIDEST,
     Gripper,
     Robot,
     default_qpos,
@@ -36,7 +38,8 @@ class SceneLayout:
 
     Attributes:
         robots: K robots of one kind, each an arm of n joints with m finger joints.
-        narrowest: gap [m] between the pads of the shut gripper.
+        narrowest, widest: gap [m] between the pads of the shut and the open gripper;
+            `widest` is `WIDE` for grippers that open further.
         qpos: [nq], the pose before a reset's randomisation.
         joint_range: [K, n, 2] rad, the limits of the arms' joints.
         finger_qpos, finger_dof: [K, m] entries of qpos and qvel of the finger joints.
@@ -48,6 +51,7 @@ class SceneLayout:
 
     robots: tuple[Robot, ...]
     narrowest: float
+    widest: float
     qpos: Array
     joint_range: Array
     finger_qpos: Array
@@ -96,6 +100,7 @@ def read_scene_layout(stock: Any, sensors: Sensors) -> SceneLayout:
     return SceneLayout(
         robots=read_robots(stock),
         narrowest=NARROWEST.get(hand_kind(robots[0]), 0.0),
+        widest=WIDEST.get(hand_kind(robots[0]), WIDE),
         qpos=default_qpos(stock),
         joint_range=model.jnt_range[np.array(joints)],
         finger_qpos=np.array([finger_indices(robot, "pos") for robot in robots]),
@@ -132,6 +137,7 @@ def constant_readings(layout: SceneLayout) -> dict[str, Array]:
     named = {
         "gripper_speed": np.abs(speed).max(initial=0, keepdims=True),
         "gripper_narrowest": np.array([layout.narrowest]),
+        "gripper_widest": np.array([layout.widest]),
     }
     for number, (arm, _) in enumerate(layout.robots):
         prefix, limits = reading_prefix(number), layout.joint_range[number]
