@@ -48,7 +48,7 @@ peers: setup ## Install the libraries that manip benchmark compares with
 	$(PIP) install --quiet --constraint requirements.lock $$($(PEERS))
 
 # tests/conftest.py says which tests share a process.
-PARALLEL := --numprocesses auto --maxprocesses 4 --dist loadgroup
+PARALLEL := --numprocesses auto --maxprocesses 4 --dist loadfile
 
 test: setup ## Run the fast tests
 	$(BIN)/python -m pytest $(PARALLEL)

@@ -5,10 +5,13 @@ import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 import torch
+from xdist.remote import Producer
+from xdist.scheduler import LoadScopeScheduling
 
 from manip import plugins
 from manip.envs.task import Task
@@ -32,12 +35,20 @@ SHARED = (
 """Files that use the scenes of all tasks: one process builds them once."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Let the tests of a file, or of the files in SHARED, run in one process."""
-    for item in items:
-        name = item.path.stem
-        group = "scenes" if name in SHARED else name
-        item.add_marker(pytest.mark.xdist_group(group))
+class OneProcess(LoadScopeScheduling):
+    """Run the tests of a file, or of the files in SHARED, in one process.
+
+    (The groups of pytest-xdist 3.8 have no effect with pytest 9.2.)
+    """
+
+    def _split_scope(self, nodeid: str) -> str:
+        name = Path(nodeid.split("::")[0]).stem
+        return "scenes" if name in SHARED else name
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> OneProcess:
+    return OneProcess(config, log)
 
 
 SAFE_PATH = os.environ.get("PYTHONSAFEPATH")
