@@ -9,7 +9,7 @@ from manip.envs.task import Task
 from manip.robot_config import ROBOTS, RobotConfig
 from manip.sim.batch_engine import BatchEngine
 from manip.sim.robot_model import WIDE
-from manip.sim.scene import Scene, load_scene
+from manip.sim.scene import Fidelity, Scene, load_scene
 
 Array = np.ndarray
 
@@ -85,3 +85,18 @@ def gap(scene: Scene, closing: float) -> float:
         for a in first
         for b in second
     )
+
+
+@pytest.mark.parametrize("fidelity", ["exact", "fast"])
+def test_friction_on_its_base_holds_the_sawyers_first_joint(
+    fidelity: Fidelity, lift: Task
+) -> None:
+    """As in stock robosuite, also where the other contacts of the arm are left out."""
+    scene = load_scene("Lift", lift.sensors, RobotConfig("Sawyer"), fidelity)
+    engine = BatchEngine(scene, 1, threads=1)
+    before = engine.read()["joint_pos"].copy()
+    for _ in range(10):
+        engine.step(np.array([[0, -1, 0, 0, 0, 0, 0]]))
+    moved = np.abs(engine.read()["joint_pos"] - before)[0]
+    assert moved[0] < 1e-3
+    assert moved[1:].max() > 0.1

@@ -13,7 +13,7 @@ from manip.sim.fields import physics_field_slots
 from manip.sim.names import lookup
 from manip.sim.not_copied import NotCopied
 from manip.sim.robosuite_factory import PANDA, PHYSICS_DT, make_stock
-from manip.sim.robot_model import hand_kind
+from manip.sim.robot_model import default_qpos, hand_kind
 from manip.sim.scene_layout import SceneLayout, read_scene_layout
 from manip.sim.sensors import Sensors
 from manip.sim.slots import Slot, force_slots
@@ -120,7 +120,8 @@ def build_scene(
         control_freq: control frequency [Hz].
         fidelity: "exact" is robosuite's own physics (2 ms); "fast", for training and
             sweeps, steps 5 ms where the gripper stays stable, and leaves out the
-            collisions of the arm's links, and of parked bodies with the floor.
+            collisions of the arm's links that touch no other in the default pose, and
+            of parked bodies with the floor.
 
     Raises:
         UserError: a sensor names something that the environment's model lacks.
@@ -181,11 +182,10 @@ def _physics(stock: Any, fidelity: Fidelity, dt: float) -> mujoco.MjSpec:
 
 def _strip(spec: mujoco.MjSpec, stock: Any, fidelity: Fidelity) -> None:
     """Delete geoms that cannot collide, and meshes that only they used."""
-    prefixes = tuple(robot.robot_model.naming_prefix for robot in stock.robots)
+    free = _free_arm_bodies(stock) if fidelity == "fast" else set()
     for geom in list(spec.geoms):
-        of_arm = geom.parent.name.startswith(prefixes)
         collides = geom.contype or geom.conaffinity
-        if not collides or (fidelity == "fast" and of_arm):
+        if not collides or geom.parent.name in free:
             spec.delete(geom)
     for geom in spec.geoms:
         geom.material = ""
@@ -197,6 +197,23 @@ def _strip(spec: mujoco.MjSpec, stock: Any, fidelity: Fidelity) -> None:
             spec.delete(mesh)
     for part in (*spec.materials, *spec.textures):
         spec.delete(part)
+
+
+def _free_arm_bodies(stock: Any) -> set[str]:
+    """Names of the arms' bodies that touch no other one of them in the default pose.
+
+    The Sawyer's first link rests on its base, and the friction holds the first joint.
+    """
+    model = stock.sim.model._model
+    data = mujoco.MjData(model)
+    data.qpos[:] = default_qpos(stock)
+    mujoco.mj_forward(model, data)
+    prefixes = tuple(robot.robot_model.naming_prefix for robot in stock.robots)
+    names = np.array([model.body(number).name for number in range(model.nbody)])
+    of_arm = np.array([name.startswith(prefixes) for name in names])
+    pairs = model.geom_bodyid[data.contact.geom]
+    touching = pairs[of_arm[pairs].all(axis=1)]
+    return set(names[of_arm]) - set(names[touching].ravel())
 
 
 def _exclude_from_floor(spec: mujoco.MjSpec, parked: tuple[str, ...]) -> None:
