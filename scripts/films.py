@@ -12,18 +12,21 @@ from manip.programs.render import Render, render_video
 
 @dataclass(frozen=True)
 class Films:
-    """Render an episode of every task's shipped policy."""
+    """Render an episode of each task that has a shipped policy."""
 
     out: Path = Path("docs/static/films")
     """Folder for the videos."""
+    seed: int = 1
+    """Seed of the episodes' random streams."""
 
 
 def main(arguments: Sequence[str]) -> int:
     """Render the videos, and print their paths."""
     options = cli.parse(Films, arguments, "films.py")
-    for task in catalogue()["tasks"]:
-        film = options.out / f"{task}.mp4"
-        render_video(Render(Path(task), film, episodes=1, width=320, height=240))
+    known = catalogue()
+    for task in (name for name in known["tasks"] if name in known["policies"]):
+        film, seed = options.out / f"{task}.mp4", options.seed
+        render_video(Render(Path(task), film, 1, seed=seed, width=320, height=240))
         print(film)
     return 0
 
