@@ -91,10 +91,10 @@ def must_align(m: Measures) -> bool:
 
 
 def yaw_matters(m: Measures) -> bool:
-    """Whether the hand does not grasp a cube at any yaw.
+    """Whether the hand grasps a cube at some yaws only.
 
-    Either it must align, or its fingers come down on a cube that is turned by 45
-    degrees, as the open gripper is narrower than the cube's diagonal.
+    Either it must align, or the open gripper is narrower than the cube's diagonal, so
+    that its fingers come down on a cube that is turned by 45 degrees.
     """
     return must_align(m) or bool(m["gripper_widest"] < CUBE_DIAGONAL)
 
