@@ -43,8 +43,9 @@ ROUNDS = 40
 DEEPEST = 0.001
 """Deepest penetration [m] of a candidate, before the gripper closes."""
 GRIP_STEPS = 20
-"""Control steps for which the milestone must last before the gripper stops closing, and
-for which it goes on closing once it is commanded fully."""
+"""Control steps for which the milestone must last before the gripper stops closing."""
+SPARE_STEPS = 4
+"""Control steps for which the gripper goes on closing once it is commanded fully."""
 HOLD_STEPS = 10
 """Control steps for which the state must last under gravity."""
 FIRST_FAMILY = 2
@@ -219,7 +220,7 @@ class WaypointMaker:
     def _closing_steps(self) -> int:
         """Control steps in which the gripper's command goes from open to closed."""
         speed = np.abs(self._robot.gripper.speed).min(initial=1.0)
-        return int(np.ceil(2 / speed)) + GRIP_STEPS
+        return int(np.ceil(2 / speed)) + SPARE_STEPS
 
 
 def measure_yields(task: Task, scene: Scene, rounds: int = 2) -> dict[str, Yield]:
