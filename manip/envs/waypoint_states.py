@@ -5,8 +5,8 @@ A candidate of `Task.sample_waypoint` becomes a state in four steps:
 1. Inverse kinematics bring the tool to its pose, with the gripper open.
 2. Nothing may penetrate anything by more than `DEEPEST`.
 3. If the waypoint is closed, the gripper closes without gravity, so that an object in
-   the air stays between the fingers, until the milestone has lasted for `GRIP_STEPS`
-   control steps. (A slow gripper that closes fully squeezes an object out.)
+   the air stays between the fingers. A slow gripper stops once the milestone has lasted
+   for `GRIP_STEPS` control steps: closing fully, it squeezes the object out.
 4. With gravity, the arm stays for `HOLD_STEPS` control steps. In the second half of
    them the milestone must be reached all the time, and the task's success never.
 
@@ -192,7 +192,7 @@ class WaypointMaker:
         )
 
     def _close(self, milestone: str) -> None:
-        """Close the grippers, without gravity, until the milestone has lasted."""
+        """Close the grippers without gravity: fully, or until the milestone lasts."""
         lasted = np.zeros(CANDIDATES, int)
         for _ in range(self._closing_steps()):
             step = self._floating.step(self._action(lasted < GRIP_STEPS))

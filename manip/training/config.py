@@ -106,8 +106,8 @@ class TrainConfig:
     control_freq: Annotated[int, COUNT] = 20
     """Control frequency [Hz]: 10, 20, 25, 50 or 100."""
     fidelity: Fidelity = "fast"
-    """Physics of training. exact: as stock robosuite; fast: larger time steps, and no
-    collisions of most of the arm's links. Evaluation always uses exact physics."""
+    """Physics of training. exact: as stock robosuite; fast: larger time steps, and
+    most of the arm's links do not collide. Evaluation always uses exact physics."""
     engine: Literal["native", "warp"] = "native"
     """Engine that steps the training environments. native: MuJoCo's C code; warp:
     MuJoCo Warp on an NVIDIA GPU (the extra gpu, docs/gpu.md). Evaluations always use
