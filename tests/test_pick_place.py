@@ -58,6 +58,18 @@ def test_it_pays_as_documented_and_more_each_stage(cls) -> None:
     assert task.success(m).tolist() == [False] * 8 + [True]
 
 
+def test_a_box_that_leans_above_its_place_is_not_paid_as_released() -> None:
+    task, angle = PickPlaceCereal(), np.radians([0, 10, 30, 45])
+    read = {name: rows[[7] * 4] for name, rows in stage_measures(task).items()}
+    half = angle[:, None] / 2
+    read["object_quat"] = np.hstack([np.cos(half), np.sin(half), 0 * half, 0 * half])
+    m = task.measure(read)
+    over = task.reward_terms(m, "shaped")["over"]
+    np.testing.assert_allclose(over, [1, 1, (np.cos(np.pi / 6) - 0.77) / 0.18, 0])
+    m["inside"] = np.ones(4, bool)
+    assert task.reward_terms(m, "shaped")["over"].tolist() == [1] * 4
+
+
 def test_an_empty_closed_gripper_earns_half_of_reach() -> None:
     task = PickPlaceCan()
     m = stage_measures(task)
