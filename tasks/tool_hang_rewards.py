@@ -1,13 +1,15 @@
 """ToolHang: the terms of its rewards.
 
 Shaped reward, in [0, 1] per step. For the frame: 0.05 reach_frame + 0.05 grasp_frame
-    + 0.1 upright + 0.1 over + 0.2 insert. Once the frame stands, these are 1, and for
-    the wrench: 0.05 leave + 0.05 reach_tool + 0.1 grasp_tool + 0.15 carry + 0.05 hang
-    + 0.05 release + 0.05 stay.
+    + 0.05 lift_frame + 0.1 upright + 0.1 over + 0.15 insert. Once the frame stands,
+    these are 1, and for the wrench: 0.05 leave + 0.05 reach_tool + 0.1 grasp_tool
+    + 0.15 carry + 0.05 hang + 0.05 release + 0.05 stay.
     reach_frame, reach_tool: 1 - tanh(5 d) of the distance d [m] to the grip.
     grasp_frame, grasp_tool: rise as the gripper's command goes from open to closed.
-    upright: rises as the rod turns downwards.
-    over: upright times the nearness of the rod's tip to the post's mouth.
+    lift_frame: rises linearly with the grip's height, over 14 cm.
+    upright: lift_frame times how far the rod is turned downwards.
+    over: upright times the nearness of the rod's tip to the post's mouth. Half of it
+        falls linearly over 50 cm, half within 5 cm.
     insert: the depth of the tip in the post.
     leave: rises as the gripper opens or moves away from the frame.
     carry: the nearness of the wrench's hole to the hook.
@@ -15,8 +17,10 @@ Shaped reward, in [0, 1] per step. For the frame: 0.05 reach_frame + 0.05 grasp_
         to carry are 1 as well.
     release: while the wrench hangs, rises as the command goes from closed to open.
     stay: 1 on success. Then all terms are 1.
-    The terms grasp_frame, upright, over and insert need a firm grasp of the frame,
-    grasp_tool and carry one of the wrench: both finger pads touch it and d < 3 cm.
+    The terms from grasp_frame to insert need a firm grasp of the frame, grasp_tool and
+    carry one of the wrench: both finger pads touch it and d < 3 cm.
+
+The frame lies flat on the table and cannot turn there, so lifting pays on its own.
 """
 
 import numpy as np
@@ -27,13 +31,17 @@ from manip.tasks.tool_hang_measures import GRASP_DISTANCE, POST_DEPTH, tip_depth
 
 Array = np.ndarray
 
+LIES, STANDS = 0.85, 0.99
+"""Heights [m] of the frame's grip, just above where it lies, below where it stands."""
+
 WEIGHTS: Weights = {
     "shaped": {
         "reach_frame": 0.05,
         "grasp_frame": 0.05,
+        "lift_frame": 0.05,
         "upright": 0.1,
         "over": 0.1,
-        "insert": 0.2,
+        "insert": 0.15,
         "leave": 0.05,
         "reach_tool": 0.05,
         "grasp_tool": 0.1,
@@ -58,15 +66,22 @@ def shaped_terms(m: Measures, success: Array) -> dict[str, Array]:
 
 def _frame_terms(m: Measures) -> dict[str, Array]:
     grasp = m["frame_firm_grasp"].astype(float)
-    upright = grasp * (1 + m["frame_mat"][:, 8]) / 2
-    at_mouth = near(np.linalg.norm(m["to_mouth"], axis=1), 0.1)
+    lifted = grasp * ramp(m["eef_pos"][:, 2] + m["to_grip"][:, 2], LIES, STANDS)
+    upright = lifted * (1 + m["frame_mat"][:, 8]) / 2
     return {
         "reach_frame": near(m["grip_distance"], 0.2),
         "grasp_frame": grasp * ramp(m["gripper_closing"], -1.0, 1.0),
+        "lift_frame": lifted,
         "upright": upright,
-        "over": upright * np.maximum(at_mouth, tip_depth(m) > 0),
+        "over": upright * np.maximum(_at_mouth(m), tip_depth(m) > 0),
         "insert": grasp * ramp(tip_depth(m), 0.0, POST_DEPTH),
     }
+
+
+def _at_mouth(m: Measures) -> Array:
+    """[N] in [0, 1]: nearness of the rod's tip to the post's mouth, coarse and fine."""
+    distance = np.linalg.norm(m["to_mouth"], axis=1)
+    return (1 - ramp(distance, 0.0, 0.5) + near(distance, 0.05)) / 2
 
 
 def _left_frame(m: Measures) -> Array:

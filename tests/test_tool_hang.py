@@ -76,11 +76,13 @@ def test_it_pays_as_documented_and_more_each_stage(stock: Any) -> None:
 
     up, (place, turn) = np.array([0, 0, 1.0]), STANDING
     above, half = ((place + (0.15 - z) * up, turn) for z in (0.0, 0.075))
+    aside = above[0] + 0.1 * np.array([1.0, 0, 0]), turn
     raised = ON_TABLE[0] + 0.1 * up, ON_TABLE[1]
     ms = [
         measure(stock, LYING, ON_TABLE, grip(LYING) + 0.2 * up, -1),
         measure(stock, LYING, ON_TABLE, grip(LYING), -1),
         measure(stock, LYING, ON_TABLE, grip(LYING), 1, "frame"),
+        measure(stock, aside, ON_TABLE, grip(aside), 1, "frame"),
         measure(stock, above, ON_TABLE, grip(above), 1, "frame"),
         measure(stock, half, ON_TABLE, grip(half), 1, "frame"),
         measure(stock, STANDING, ON_TABLE, grip(STANDING), 1, "frame"),
@@ -94,15 +96,15 @@ def test_it_pays_as_documented_and_more_each_stage(stock: Any) -> None:
     terms = [task.reward_terms(m, "shaped") for m in ms]
     reward = [weighted_sum(each, task.weights["shaped"])[0] for each in terms]
     length = {name: [np.linalg.norm(m[name]) for m in ms] for name in ms[0]}
-    over = 0.05 * (1 - np.tanh(length["to_mouth"][2] / 0.1))
-    reach = 0.05 * (1 - np.tanh(5 * length["tool_distance"][5]))
-    carry = 0.15 * (1 - np.tanh(5 * length["to_hook"][7]))
-    frame = [0.05 * (1 - np.tanh(1)), 0.05, 0.15 + over, 0.3, 0.4, 0.5 + reach]
-    np.testing.assert_allclose(reward[:6], frame, atol=1e-4)
+    reach = 0.05 * (1 - np.tanh(5 * length["tool_distance"][6]))
+    carry = 0.15 * (1 - np.tanh(5 * length["to_hook"][8]))
+    over = 0.1 * (0.8 + 1 - np.tanh(2)) / 2
+    frame = [0.05 * (1 - np.tanh(1)), 0.05, 0.1, 0.25 + over, 0.35, 0.425, 0.5 + reach]
+    np.testing.assert_allclose(reward[:7], frame, atol=1e-4)
     tool = [0.6, 0.7 + carry, 0.9, 0.925, 1]
-    np.testing.assert_allclose(reward[6:], tool, atol=1e-4)
+    np.testing.assert_allclose(reward[7:], tool, atol=1e-4)
     assert (np.diff(reward) > 0).all()
-    assert [bool(task.success(m)[0]) for m in ms] == [False] * 10 + [True]
+    assert [bool(task.success(m)[0]) for m in ms] == [False] * 11 + [True]
 
 
 def test_parts_start_where_documented(scene_of) -> None:
