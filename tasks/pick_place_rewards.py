@@ -73,7 +73,7 @@ def shaped_terms(m: Measures, success: Array) -> dict[str, Array]:
 
 
 def _upright(m: Measures) -> Array:
-    """[N] in [0, 1]: 0 for an object that leans by 40 degrees, 1 from 18 degrees on."""
+    """[N] in [0, 1]: 1 for an object that leans by up to 18 degrees, 0 from 40 on."""
     return ramp(m["object_mat"][:, 8], 0.77, 0.95)
 
 
