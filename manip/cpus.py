@@ -5,6 +5,12 @@ import platform
 import re
 from pathlib import Path
 
+ZEN_4 = (*range(0x10, 0x20), *range(0x60, 0xB0))
+"""Models of AMD's family 19h (25) that are Zen 4; the others are Zen 3 (Linux,
+arch/x86/kernel/cpu/amd.c, bsp_init_amd)."""
+GENERATIONS = {"25": "Zen 3", "26": "Zen 5"}
+"""Generations of AMD's families, but for `ZEN_4`."""
+
 
 def usable_cpus() -> int:
     """Number of CPUs that this process may use (its affinity mask, if it has one)."""
@@ -17,6 +23,20 @@ def machine() -> str:
     """Name of the processor and number of usable CPUs, to state beside a wall time."""
     cpuinfo = Path("/proc/cpuinfo")
     text = cpuinfo.read_text() if cpuinfo.is_file() else ""
-    model = re.search(r"^model name\s*: (.+)$", text, re.MULTILINE)
-    name = model[1] if model else platform.processor() or platform.machine()
+    name = processor(text) or platform.processor() or platform.machine()
     return f"{name}, {usable_cpus()} CPU{'s' * (usable_cpus() > 1)}"
+
+
+def processor(cpuinfo: str) -> str:
+    """Name in the text of /proc/cpuinfo, with AMD's generation; empty without one.
+
+    A virtual machine may be told no more than "AMD EPYC", whatever the generation.
+    """
+    name, family, model = (
+        match[1] if (match := re.search(rf"^{key}\s*: (.+)$", cpuinfo, re.M)) else ""
+        for key in ("model name", "cpu family", "model")
+    )
+    if not name.startswith("AMD") or family not in GENERATIONS:
+        return name
+    newer = family == "25" and int(model) in ZEN_4
+    return f"{name} ({'Zen 4' if newer else GENERATIONS[family]})"
