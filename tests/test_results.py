@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from manip.agents import policy as policy_files
-from manip.agents.policy import load_policy, shipped_policies
+from manip.agents.policy import SHIPPED, Policy, load_policy, shipped_policies
 from manip.envs.episode_streams import CHOICE, EVALUATION
 from manip.errors import UserError
 from manip.evaluation.comparison import comparison_record, verdict
@@ -125,19 +125,26 @@ def test_a_record_says_what_its_interval_covers() -> None:
 
 
 def shipped_by(tmp_path: Path, result: Result, stored: Results) -> list[int]:
-    """Seeds of the policies that a result ships; each seed has a policy of its own."""
-    card = load_policy("Reach").card
-    folders = {}
-    for run in result.runs:
-        folders[run.seed] = tmp_path / str(run.seed)
-        policy = load_policy("Reach")
-        seeded = replace(card, seed=run.seed, algo="ppo")
-        replace(policy, card=seeded).save(folders[run.seed] / "policy")
+    """Seeds of the shipped policies after a result; before it, those of `stored` are.
+
+    Each seed of the result has a policy of its own.
+    """
+    folders = {run.seed: tmp_path / str(run.seed) for run in result.runs}
+    for seed, folder in folders.items():
+        policy_of("ppo", seed).save(folder / "policy")
     with pytest.MonkeyPatch.context() as patch:
         for module in (policy_files, shipping):
             patch.setattr(module, "SHIPPED", tmp_path / "policies")
+        for old in stored.results:
+            policy_of(old.algo, old.runs[0].seed).save(tmp_path / "policies" / "Reach")
         shipping.ship_policy(result, folders, stored)
         return [load_policy(folder).card.seed for folder in shipped_policies().values()]
+
+
+def policy_of(algo: str, seed: int) -> Policy:
+    """The shipped policy of Reach, as if it were of another algorithm and seed."""
+    policy = load_policy(SHIPPED / "Reach")
+    return replace(policy, card=replace(policy.card, algo=algo, seed=seed))
 
 
 def test_the_shipped_seed_is_chosen_in_other_episodes_than_the_results(tmp_path):
@@ -148,6 +155,16 @@ def test_the_shipped_seed_is_chosen_in_other_episodes_than_the_results(tmp_path)
 
 def test_a_policy_that_fails_where_seeds_are_chosen_is_not_shipped(tmp_path) -> None:
     assert shipped_by(tmp_path, result_of(95, choice=(0.89,)), Results({}, ())) == []
+
+
+@pytest.mark.parametrize(("held", "shipped"), [(100, 0), (96, 7)])
+def test_another_algorithms_policy_stays_if_none_is_surely_better(
+    tmp_path, held: int, shipped: int
+) -> None:
+    """The intervals of 100 and 96 of 100 episodes begin at 96.3 and 90.2 %."""
+    other = replace(result_of(93).runs[0], seed=7)
+    stored = Results({}, (replace(result_of(93), algo="bc", runs=(other,)),))
+    assert shipped_by(tmp_path, result_of(held), stored) == [shipped]
 
 
 def keys(*what: str, robot: str | None = None) -> list[tuple[str, str, str]]:
