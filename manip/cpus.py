@@ -9,7 +9,7 @@ ZEN_4 = (*range(0x10, 0x20), *range(0x60, 0xB0))
 """Models of AMD's family 19h (25) that are Zen 4; the others are Zen 3 (Linux,
 arch/x86/kernel/cpu/amd.c, bsp_init_amd)."""
 GENERATIONS = {"25": "Zen 3", "26": "Zen 5"}
-"""Generations of AMD's families, but for `ZEN_4`."""
+"""Family -> generation of AMD's processors; `ZEN_4` are exceptions."""
 
 
 def usable_cpus() -> int:
@@ -32,11 +32,9 @@ def processor(cpuinfo: str) -> str:
 
     A virtual machine may be told no more than "AMD EPYC", whatever the generation.
     """
-    name, family, model = (
-        match[1] if (match := re.search(rf"^{key}\s*: (.+)$", cpuinfo, re.M)) else ""
-        for key in ("model name", "cpu family", "model")
-    )
+    fields = dict(re.findall(r"^(\w[\w ]*?)\s*: (.+)$", cpuinfo, re.M))
+    name, family = fields.get("model name", ""), fields.get("cpu family", "")
     if not name.startswith("AMD") or family not in GENERATIONS:
         return name
-    newer = family == "25" and int(model) in ZEN_4
+    newer = family == "25" and int(fields.get("model", 0)) in ZEN_4
     return f"{name} ({'Zen 4' if newer else GENERATIONS[family]})"

@@ -1,4 +1,4 @@
-"""The name of the processor says its generation, which decides what a run learns."""
+"""The name of the processor includes its generation, on which results depend."""
 
 import pytest
 

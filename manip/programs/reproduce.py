@@ -85,10 +85,10 @@ class Reproduce:
     """File for results and comparisons as JSON; it grows with each recipe."""
     write: bool = False
     """Replace the shipped results (assets/results.yaml), and ship the policy of the
-    best seed (assets/policies) if it succeeds in 90 % of its episodes or more,
-    and surely more often than the shipped policy of another algorithm. The
-    best seed is chosen in 128 native episodes (32 if it sees cameras), which are not
-    those of the results."""
+    best seed (assets/policies) if it succeeds in 90 % of its episodes or more.
+    It replaces the policy of another algorithm only if the 95 % interval of its rate
+    begins above the other's rate. The best seed is chosen in 128 native episodes (32 if
+    it sees cameras), which are not those of the results."""
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -14,9 +14,9 @@ WORTH = 0.9
 def ship_policy(result: Result, folders: Mapping[int, Path], stored: Results) -> None:
     """Ship the policy of the best seed, if it is good.
 
-    The policy of another algorithm is replaced only by one that is surely better: the
-    95 % interval of its result begins above the other's rate. So a clone of an expert,
-    which moves calmly, stays where others succeed as often.
+    It replaces the policy of another algorithm only if the 95 % interval of its rate
+    begins above the other's rate. So a clone of an expert, whose actions change less
+    from step to step, stays shipped where other policies succeed as often.
 
     Args:
         result: of the recipe; seeds are compared by their `choice_rate`, which was
